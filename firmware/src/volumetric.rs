@@ -52,7 +52,7 @@ const UNITS_PER_PM: i64 = 4_503_600;
 const TRANSLATION: i32 = 1000 << 18;
 
 /// Largest part of a segment, 2^-31.
-const MOST_PART: i32 = i32::MAX;
+const MAX_PART: i32 = i32::MAX;
 
 /// Correction of a coordinate in one period.
 #[derive(Debug, Clone, Copy, Default)]
@@ -112,7 +112,7 @@ struct AxisConstants {
     /// Position of the first node.
     first: i32,
     /// Largest distance from it within the last segment.
-    most: i32,
+    max: i32,
     /// 2^50 divided by the node pitch.
     reciprocal: i32,
     /// Its first value.
@@ -156,7 +156,7 @@ impl Constants {
                 let spans = i64::from(tables.nodes.max(2)) - 1;
                 AxisConstants {
                     first: tables.first.0,
-                    most: bounded(spans * i64::from(tables.pitch.0) - 1),
+                    max: bounded(spans * i64::from(tables.pitch.0) - 1),
                     reciprocal: bounded((1_i64 << 50) / i64::from(tables.pitch.0.max(1))),
                     start: config.start(axis),
                     arm: core::array::from_fn(|along| Arm::new(tables, along)),
@@ -373,8 +373,8 @@ impl AxisConstants {
     ) -> [i64; ERROR_AXES] {
         // Beyond its ends a table is constant.
         let from = position.saturating_sub(self.first);
-        let place = product(from.max(0).min(self.most), self.reciprocal);
-        let (number, part) = ((place >> 50) as usize, (place >> 19) as i32 & MOST_PART);
+        let place = product(from.max(0).min(self.max), self.reciprocal);
+        let (number, part) = ((place >> 50) as usize, (place >> 19) as i32 & MAX_PART);
         let node = self.start.wrapping_add(number.wrapping_mul(ERRORS));
         let values = config.values.get(node..node.wrapping_add(2 * ERRORS));
         let Some(values) = values.and_then(|values| values.first_chunk()) else {

@@ -62,7 +62,7 @@ proptest! {
         let time = f64::from(period) * 1e-6;
         let fade = -libm::expm1(-kv * time / ka);
         // Rates stay below 1 mm in a period.
-        let most = scale.min(0.9 * kv / time);
+        let max = scale.min(0.9 * kv / time);
         let (mut rate, mut way, mut path) = (0i64, 0i128, 0.0f64);
         let (mut exact_rate, mut exact_way) = (0.0f64, 0.0f64);
         let mut random = seed | 1;
@@ -71,7 +71,7 @@ proptest! {
         for k in 1..=20_000u32 {
             if k % 97 == 1 {
                 random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                force = (((random >> 33) as f64 / f64::exp2(30.0) - 1.0) * most * NEWTON) as i32;
+                force = (((random >> 33) as f64 / f64::exp2(30.0) - 1.0) * max * NEWTON) as i32;
             }
             let (step, next) = pole.step(force, rate);
             (rate, way) = (next, way + i128::from(step));
@@ -204,12 +204,12 @@ proptest! {
         // landing may.
         let (mass, damping, setpoint) = after;
         let speed = f64::from(last.rate.0) / MM;
-        let most = (force + setpoint + damping * speed.abs()) / mass;
+        let max = (force + setpoint + damping * speed.abs()) / mass;
         let jump = millimetres(now.displacement) - millimetres(last.displacement) - speed * 200e-6;
         let mark = now.rate.0 == 0 || millimetres(last.displacement) < 1.0;
-        prop_assert!(jump.abs() <= most * 200e-6 * 200e-6 + 1e-9 || (mark && jump.abs() <= speed.abs() * 200e-6 + 1e-9), "{jump} {last:?} {now:?}");
+        prop_assert!(jump.abs() <= max * 200e-6 * 200e-6 + 1e-9 || (mark && jump.abs() <= speed.abs() * 200e-6 + 1e-9), "{jump} {last:?} {now:?}");
         let faster = f64::from(now.rate.0) / MM - speed;
-        prop_assert!(faster.abs() <= most * 200e-6 + 1e-5 || mark, "{faster}");
+        prop_assert!(faster.abs() <= max * 200e-6 + 1e-5 || mark, "{faster}");
     }
 }
 

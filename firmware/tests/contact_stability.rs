@@ -304,7 +304,7 @@ fn steady_push_force_matches_the_equation() {
 /// is f_d, that of the force is below it. An arm behind a servo does not sit on counts.
 #[test]
 fn mean_force_is_the_force_setpoint() {
-    for (drive, count, most) in [
+    for (drive, count, max) in [
         (Drive::Rigid, 0.0, 0.25),
         (Drive::Servo, COUNT, 0.25),
         (Drive::Lag { omega: 200.0 }, COUNT, 0.25),
@@ -334,7 +334,7 @@ fn mean_force_is_the_force_setpoint() {
             "{drive:?}, counts {count} mm: |mean - f_d| at most {:.3} N, at {:.0} N/mm; of the peak {worst_peak:.3} N",
             worst.0, worst.1
         );
-        assert!(worst.0 <= most, "{drive:?} {worst:?}");
+        assert!(worst.0 <= max, "{drive:?} {worst:?}");
         assert!(worst_peak <= 0.25, "{drive:?} {worst_peak}");
     }
 }

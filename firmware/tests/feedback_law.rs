@@ -26,11 +26,11 @@ fn force(newtons: f64) -> Force {
     Force((newtons * NEWTON) as i32)
 }
 
-fn settings(percent: [u8; 3], most: [f64; 3], damping: f64) -> ForceFeedback {
+fn settings(percent: [u8; 3], max: [f64; 3], damping: f64) -> ForceFeedback {
     ForceFeedback {
         axes: core::array::from_fn(|axis| ForceFeedbackAxis {
             percent: percent[axis],
-            limit: force(most[axis]).0,
+            limit: force(max[axis]).0,
         }),
         damping: (damping * NEWTON) as u16,
         damping_below: force(2.0).0,
@@ -42,11 +42,11 @@ proptest! {
 
     /// sign * min(percent * |F|, most) to the last bits, for any force.
     #[test]
-    fn force_share_keeps_sign_and_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), most in prop::array::uniform3(0.0_f64..10.0)) {
-        let mut law = FeedbackLaw::new(&settings(percent, most, 0.0), 200);
+    fn force_share_keeps_sign_and_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), max in prop::array::uniform3(0.0_f64..10.0)) {
+        let mut law = FeedbackLaw::new(&settings(percent, max, 0.0), 200);
         let feedback = law.feedback(&forces.map(Force), &[Rate(0); 3]);
         for axis in 0..3 {
-            let want = (f64::from(forces[axis]) * f64::from(percent[axis]) / 100.0).abs().min(most[axis] * NEWTON);
+            let want = (f64::from(forces[axis]) * f64::from(percent[axis]) / 100.0).abs().min(max[axis] * NEWTON);
             let want = want.copysign(f64::from(forces[axis]));
             prop_assert!((f64::from(feedback[axis].0) - want).abs() <= 2.0 + want.abs() * 1e-6, "{} {want}", feedback[axis].0);
         }
@@ -56,12 +56,12 @@ proptest! {
     /// term has no step, neither in the force nor in the rate.
     #[test]
     fn nothing_steps(
-        newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, dampings in prop::array::uniform2(0.0_f64..0.12),
+        newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), max in 0.5_f64..8.0, dampings in prop::array::uniform2(0.0_f64..0.12),
     ) {
-        let mut law = FeedbackLaw::new(&settings([percents[0]; 3], [most; 3], dampings[0]), 200);
+        let mut law = FeedbackLaw::new(&settings([percents[0]; 3], [max; 3], dampings[0]), 200);
         let at = |law: &mut FeedbackLaw, newtons: f64, rate: f64| law.feedback(&[force(newtons); 3], &[Rate((rate * MM) as i32); 3])[0].0;
         let mut before = at(&mut law, newtons, rate);
-        law.set(&settings([percents[1]; 3], [most; 3], dampings[1]));
+        law.set(&settings([percents[1]; 3], [max; 3], dampings[1]));
         for _ in 0..6000 {
             let now = at(&mut law, newtons, rate);
             // The whole range in a second: 2e-4 of 20 N and of 25 mm/s, by the slope of the fade.
@@ -85,8 +85,8 @@ proptest! {
         let (tool, rates) = (tool.map(Force), rates.map(Rate));
         let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
         let mut last = *law.settings();
-        for (percent, most, damping, below, hold) in changes {
-            last = ForceFeedback { damping_below: force(below).0, ..settings(percent, most, damping) };
+        for (percent, max, damping, below, hold) in changes {
+            last = ForceFeedback { damping_below: force(below).0, ..settings(percent, max, damping) };
             law.set(&last);
             for _ in 0..hold {
                 law.feedback(&tool, &rates);
@@ -97,7 +97,7 @@ proptest! {
         }
         prop_assert_eq!(law.feedback(&tool, &rates), FeedbackLaw::new(&last, 200).feedback(&tool, &rates));
         for axis in 0..3 {
-            prop_assert_eq!(law.most(axis), Force(last.axes[axis].limit));
+            prop_assert_eq!(law.limit(axis), Force(last.axes[axis].limit));
         }
     }
 
@@ -121,12 +121,12 @@ proptest! {
     /// by its own force and no more. The damping never adds along the
     /// motion; where it does not fit, the whole limit opposes the motion.
     #[test]
-    fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, fixture in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
-        let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
+    fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, fixture in -10.0_f64..10.0, max in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
+        let mut law = FeedbackLaw::new(&settings([100; 3], max, 0.1), 200);
         let feedback = law.feedback(&tool.map(Force), &rates.map(Rate));
         for axis in 0..3 {
-            let (limit, fixture) = (law.most(axis).0, force(fixture));
-            prop_assert_eq!(limit, force(most[axis]).0);
+            let (limit, fixture) = (law.limit(axis).0, force(fixture));
+            prop_assert_eq!(limit, force(max[axis]).0);
             prop_assert!(feedback[axis].0.abs() <= limit);
             let alone = law.combine(axis, feedback[axis], Force(damping), Force(0)).0;
             prop_assert!(alone.abs() <= limit);
@@ -148,14 +148,14 @@ proptest! {
     fn deficit_low_passes_the_feedback(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = FeedbackFilter::new(200);
         let constant = SLOW_US as f64 / 200.0 * (f64::from(deficit_of.min(COUNTED * WHOLE)) / f64::from(WHOLE));
-        let (mut slow, mut most) = (0.0_f64, 0.0_f64);
+        let (mut slow, mut max) = (0.0_f64, 0.0_f64);
         for share in shares {
-            most = most.max(share.abs());
+            max = max.max(share.abs());
             for _ in 0..hold {
                 slow += (share - slow) / (constant.floor() + 1.0);
                 let got = smoothing.smooth(&[force(share), force(-share), Force(0)], &[deficit_of, deficit_of, 0]);
                 prop_assert!((f64::from(got[0].0) / NEWTON - slow).abs() < 2e-4, "{} {slow}", got[0].0);
-                prop_assert!(f64::from(got[1].0).abs() <= most * NEWTON + 1.0);
+                prop_assert!(f64::from(got[1].0).abs() <= max * NEWTON + 1.0);
             }
             let plain = smoothing.smooth(&[Force(0), Force(0), force(share)], &[deficit_of, deficit_of, 0]);
             prop_assert_eq!(plain[2], force(share));
@@ -166,8 +166,8 @@ proptest! {
     /// Into a fixture and out again: it gives back no more than was put in, and says at any time
     /// how much that is.
     #[test]
-    fn virtual_fixture_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
-        let config = FixtureConfig { stiffness: (stiffness * NEWTON) as u32, most: force(most) };
+    fn virtual_fixture_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, max in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
+        let config = FixtureConfig { stiffness: (stiffness * NEWTON) as u32, max: force(max) };
         let mut fixtures = VirtualFixtures::new(&config, Length::millimetres(5), 200);
         fixtures.set(1, true, Some((Length::millimetres(3), Rate(0)))).unwrap();
         let steps = 4000;
@@ -178,12 +178,12 @@ proptest! {
             let next = 3.0 + depth * part;
             let [x, push, z] = fixtures.push(&[0, (next * MM) as i32, 0]);
             prop_assert!(x.0 == 0 && z.0 == 0 && push.0 <= 0);
-            let want = (stiffness * depth * part).min(most);
+            let want = (stiffness * depth * part).min(max);
             prop_assert!((f64::from(-push.0) / NEWTON - want).abs() < 2e-3, "{} {want}", push.0);
             put -= f64::from(push.0) / NEWTON * (next - if k == 0 { 3.0 } else { at });
             at = next;
             let stored = fixtures.stored() as f64 / NEWTON / MM;
-            prop_assert!((put - stored).abs() < 0.01 * most * (depth + 1.0), "{put} {stored}");
+            prop_assert!((put - stored).abs() < 0.01 * max * (depth + 1.0), "{put} {stored}");
         }
     }
 
@@ -192,9 +192,9 @@ proptest! {
     #[test]
     fn tool_orientation_follows_the_handle(seed in 1_u64..u64::MAX, theta in -0.5_f64..0.5, alpha in -0.6_f64..0.6, scale in 410_u16..8192) {
         let mut sequence = Sequence(seed);
-        let random = |sequence: &mut Sequence, most: f64| {
+        let random = |sequence: &mut Sequence, max: f64| {
             let axis = [0; 3].map(|_| sequence.between(-1.0, 1.0));
-            rotation(axis, sequence.between(0.0, most))
+            rotation(axis, sequence.between(0.0, max))
         };
         let (first, then) = (random(&mut sequence, 3.0), random(&mut sequence, 0.6));
         let frame = |m: M, tip: [f64; 3]| HandleFrame {

@@ -353,7 +353,7 @@ proptest! {
             conditioner.set_rotation([Angle(table), Angle(table.wrapping_mul(3))]);
             conditioner.take(&ForceSample { codes, conversions, overload }, unloaded);
             for force in conditioner.forces() {
-                prop_assert!(force.magnitude() <= Force::MOST.magnitude());
+                prop_assert!(force.magnitude() <= Force::MAX.magnitude());
             }
         }
     }

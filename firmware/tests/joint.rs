@@ -121,11 +121,11 @@ impl Plant {
             } else {
                 7600.0 * over + 8.0 * (self.motor[1] - self.slide[1])
             };
-            let friction = |force: f64, rate: f64, most: f64| {
+            let friction = |force: f64, rate: f64, max: f64| {
                 if rate.abs() < 1e-3 {
-                    -force.clamp(-most, most)
+                    -force.clamp(-max, max)
                 } else {
-                    -most * rate.signum()
+                    -max * rate.signum()
                 }
             };
             let on_motor = newton - contact;
@@ -506,8 +506,8 @@ proptest! {
         let DriveCommand::Torque(code) = servo_output.command else {
             panic!("a torque drive: {servo_output:?}");
         };
-        let most = f64::from(limit.0) * 8192.0 / f64::from(full_scale).abs();
-        prop_assert!(f64::from(code).abs() <= most + 0.51);
+        let max = f64::from(limit.0) * 8192.0 / f64::from(full_scale).abs();
+        prop_assert!(f64::from(code).abs() <= max + 0.51);
         prop_assert!(servo_output.effort.0.unsigned_abs() <= limit.0.unsigned_abs());
     }
 

@@ -131,10 +131,10 @@ impl<'a> Trace<'a> {
         }
         if let Some((_, before)) = self.before {
             for axis in 0..AXES {
-                let most = f64::from(self.config.pose[axis].acceleration.0) * 256.0
+                let max = f64::from(self.config.pose[axis].acceleration.0) * 256.0
                     / unit(self.config, axis);
                 let acceleration = (speed[axis] - before[axis]) / PERIOD_S;
-                self.acceleration = self.acceleration.max(acceleration.abs() / most);
+                self.acceleration = self.acceleration.max(acceleration.abs() / max);
             }
         }
         self.before = Some((place, speed));
@@ -224,11 +224,11 @@ fn start(config: &Config, machine: &BoundedKinematics, random: &mut Random) -> P
 fn asked(config: &Config, random: &mut Random) -> [i64; MAX_AXES] {
     let mut rates = [0; MAX_AXES];
     for (axis, rate) in rates.iter_mut().enumerate().take(AXES) {
-        let most = f64::from(config.pose[axis].rate.0);
+        let max = f64::from(config.pose[axis].rate.0);
         *rate = match random.below(4) {
             0 | 1 => 0,
-            2 => (most * if random.below(2) == 0 { 1.0 } else { -1.0 }) as i64,
-            _ => random.uniform(-most, most) as i64,
+            2 => (max * if random.below(2) == 0 { 1.0 } else { -1.0 }) as i64,
+            _ => random.uniform(-max, max) as i64,
         };
     }
     rates

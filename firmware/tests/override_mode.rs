@@ -92,7 +92,7 @@ fn a_faster_pace_keeps_the_path_and_ends_sooner() {
     // 60 spans of 100 periods at twice the speed; one ramp is slower, the other one faster.
     let periods = path.x.len() as i32;
     assert!((periods - 7200).abs() < 600, "{periods}");
-    let fastest = path.rate.iter().fold(0.0_f64, |most, rate| most.max(*rate));
+    let fastest = path.rate.iter().fold(0.0_f64, |max, rate| max.max(*rate));
     assert!((fastest - 8.0).abs() < 0.01, "{fastest}");
     let (acceleration, jerk) = path.dynamics(700, 20_000);
     // 4 mm/s in 220 ms, which builds up in 80 ms; the end is that of the programmed motion.

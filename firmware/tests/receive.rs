@@ -118,7 +118,7 @@ fn telemetry_is_sent_under_continuous_requests() {
             "{longest} periods, {every} asked for, {answered}"
         );
         // Each answer supersedes telemetry that waits, so telemetry comes a little later.
-        let least = if answered { 2000 } else { 4800 };
-        assert!(count >= least / usize::from(every), "{count}, {answered}");
+        let min = if answered { 2000 } else { 4800 };
+        assert!(count >= min / usize::from(every), "{count}, {answered}");
     }
 }

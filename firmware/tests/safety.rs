@@ -60,12 +60,12 @@ fn following_error_limit_grows_with_the_commanded_rate() {
             + f64::from(mm(speed)) * f64::from(limits.following_lag) / 65536.0
     };
     for speed in [0.0, 1.0, 20.0, -20.0, 100.0] {
-        let most = limit(f64::abs(speed)) as i32;
+        let max = limit(f64::abs(speed)) as i32;
         for (error, faulty) in [
-            (most - 2, false),
-            (most + 2, true),
-            (2 - most, false),
-            (-2 - most, true),
+            (max - 2, false),
+            (max + 2, true),
+            (2 - max, false),
+            (-2 - max, true),
         ] {
             let seen = JointSample {
                 commanded_rate: Rate(mm(speed)),
@@ -74,7 +74,7 @@ fn following_error_limit_grows_with_the_commanded_rate() {
                 ..seen
             };
             let fault = look(&mut JointMonitor::default(), &axis, &seen, 1);
-            let reported = matches!(fault, Some(Fault::FollowingError { joint: 2, error: reported, limit }) if reported == error && (limit - most).abs() <= 1);
+            let reported = matches!(fault, Some(Fault::FollowingError { joint: 2, error: reported, limit }) if reported == error && (limit - max).abs() <= 1);
             assert_eq!(reported, faulty, "{speed} {error} {fault:?}");
             assert_eq!(fault.is_some(), faulty);
         }

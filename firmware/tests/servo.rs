@@ -338,8 +338,8 @@ fn follow_sine(adaptation_ms: u16, count: f64) -> (f64, usize) {
         );
         // Coulomb friction as an impulse that ends at rest.
         let pushed = speed + f64::from(effort.0) / NEWTON / MASS / MILLI * PERIOD;
-        let most = friction / MASS / MILLI * PERIOD;
-        speed = pushed - pushed.clamp(-most, most);
+        let max = friction / MASS / MILLI * PERIOD;
+        speed = pushed - pushed.clamp(-max, max);
         position += speed * PERIOD;
         if time > moving / 2.0 && time < moving {
             largest = largest.max((target - position).abs());

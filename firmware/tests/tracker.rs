@@ -39,7 +39,7 @@ proptest! {
         let mut tracker = Tracker::at(Coordinate(5 * MM), Rate::ZERO, &limits);
         let mut before = PoseCommand::default();
         tracker.write_to(0, &limits, &mut before);
-        let most = f64::from(acceleration) * 2e-4 * f64::from(MM);
+        let max = f64::from(acceleration) * 2e-4 * f64::from(MM);
         for (target, periods) in targets {
             for _ in 0..periods {
                 let within = tracker.envelope(target.map(Coordinate), 0, &limits);
@@ -47,10 +47,10 @@ proptest! {
                 let mut commanded = PoseCommand::default();
                 tracker.write_to(0, &limits, &mut commanded);
                 let change = f64::from(commanded.rates[0].0) - f64::from(before.rates[0].0);
-                prop_assert!(change.abs() <= most + 2.0, "{change} {most}");
+                prop_assert!(change.abs() <= max + 2.0, "{change} {max}");
                 prop_assert!(commanded.rates[0].0.abs() <= rate * MM + 1);
                 let reported = f64::from(commanded.accelerations[0].0) * 256.0 * 2e-4;
-                prop_assert!((reported - change).abs() <= 2.0 + most * 1e-3, "{reported} {change}");
+                prop_assert!((reported - change).abs() <= 2.0 + max * 1e-3, "{reported} {change}");
                 // The place is the integral of the rate, to the last bits.
                 let way = f64::from(commanded.pose.0[0].0) - f64::from(before.pose.0[0].0);
                 let mean = (f64::from(commanded.rates[0].0) + f64::from(before.rates[0].0)) / 2.0 * 2e-4;

@@ -33,7 +33,7 @@ proptest! {
     #[test]
     fn long_window_covers_the_requested_samples(samples in 1u32..=2048, forces in prop::collection::vec(any::<i32>(), 2100..4500)) {
         let window = Window::of(samples).expect("fits");
-        prop_assert!(window.least_samples() >= samples && window.samples() < samples + 2 * samples.div_ceil(100).max(1) + 1, "{window:?} {samples}");
+        prop_assert!(window.min_samples() >= samples && window.samples() < samples + 2 * samples.div_ceil(100).max(1) + 1, "{window:?} {samples}");
         let mut peaks = SlidingMinMax::new(window);
         for (k, force) in forces.iter().enumerate() {
             let found = peaks.push(Force(*force));
@@ -42,9 +42,9 @@ proptest! {
                     let part = &forces[k + 1 - length as usize..=k];
                     (part.iter().copied().max().expect("some"), part.iter().copied().min().expect("some"))
                 };
-                let (least, most) = (scan(window.least_samples()), scan(window.samples()));
-                prop_assert!(found.high.0 >= least.0 && found.high.0 <= most.0);
-                prop_assert!(found.low.0 <= least.1 && found.low.0 >= most.1);
+                let (min, max) = (scan(window.min_samples()), scan(window.samples()));
+                prop_assert!(found.high.0 >= min.0 && found.high.0 <= max.0);
+                prop_assert!(found.low.0 <= min.1 && found.low.0 >= max.1);
             }
         }
     }
@@ -89,9 +89,9 @@ fn window_is_rounded_up_to_a_revolution() {
             continue;
         };
         let exact = 60.0 / f64::from(rpm) / 200e-6;
-        assert!(f64::from(window.least_samples()) >= exact - 1e-9, "{rpm}");
+        assert!(f64::from(window.min_samples()) >= exact - 1e-9, "{rpm}");
         assert!(
-            f64::from(window.least_samples()) < exact * (1.0 + 2.0 / 63.0) + 1.0,
+            f64::from(window.min_samples()) < exact * (1.0 + 2.0 / 63.0) + 1.0,
             "{rpm}"
         );
     }

@@ -96,8 +96,8 @@ fn slot(material: &Material, feed: f64, depth: f64) -> Forces {
         slices.push((1.0, 0.0, lag, shank, shank * tan_helix.hypot(1.0)));
     }
 
-    let mut most = [f64::NEG_INFINITY; 3];
-    let mut least = [f64::INFINITY; 3];
+    let mut max = [f64::NEG_INFINITY; 3];
+    let mut min = [f64::INFINITY; 3];
     for i in 0..ANGLES {
         let mut force = [0.0; 3];
         for tooth in 0..TEETH {
@@ -119,14 +119,14 @@ fn slot(material: &Material, feed: f64, depth: f64) -> Forces {
             }
         }
         for axis in 0..3 {
-            most[axis] = f64::max(most[axis], force[axis]);
-            least[axis] = f64::min(least[axis], force[axis]);
+            max[axis] = f64::max(max[axis], force[axis]);
+            min[axis] = f64::min(min[axis], force[axis]);
         }
     }
-    let (mut peak, mut low) = (most, least);
+    let (mut peak, mut low) = (max, min);
     for axis in 0..3 {
-        if least[axis].abs() > most[axis].abs() {
-            (peak[axis], low[axis]) = (least[axis], most[axis]);
+        if min[axis].abs() > max[axis].abs() {
+            (peak[axis], low[axis]) = (min[axis], max[axis]);
         }
     }
     Forces { peak, low }

@@ -41,14 +41,14 @@ type Words = [[u32; ROW]; ROWS];
 
 /// Upper bound of the bytes for the words of a period: a byte and a difference of four for each,
 /// and the end.
-const MOST_BYTES: usize = 5 * WORDS + 1;
+const MAX_BYTES: usize = 5 * WORDS + 1;
 
 /// Periods per block.
 const BLOCK_PERIODS: u32 = 2048;
 
 /// Upper bound of the bytes that a log holds in memory: minutes of a moving machine, half an hour
 /// of one at standstill.
-const MOST_KEPT: usize = 1 << 26;
+const MAX_KEPT: usize = 1 << 26;
 
 /// Code for the end of the frames.
 const END: u8 = 7 << 5;
@@ -140,7 +140,7 @@ impl IoLog {
         self.kept_bytes += block.bytes.len();
         self.kept.push(block);
         self.expected = Expected::new();
-        if self.kept_bytes > MOST_KEPT {
+        if self.kept_bytes > MAX_KEPT {
             // The machine has been on for hours without a job. A replay of that time is not needed,
             // and the memory is.
             *self = Self {
@@ -274,14 +274,14 @@ impl Expected {
 
 /// Encoded words of a period.
 struct Coded {
-    bytes: [u8; MOST_BYTES + 4],
+    bytes: [u8; MAX_BYTES + 4],
     at: usize,
 }
 
 impl Coded {
     const fn new() -> Self {
         Self {
-            bytes: [0; MOST_BYTES + 4],
+            bytes: [0; MAX_BYTES + 4],
             at: 0,
         }
     }

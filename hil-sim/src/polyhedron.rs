@@ -58,11 +58,11 @@ pub enum Cut {
 /// Two unit vectors that make a right-handed frame with a unit vector.
 #[must_use]
 pub fn across(normal: Vector) -> [Vector; 2] {
-    let least = (0..3)
+    let min = (0..3)
         .min_by(|a, b| normal[*a].abs().total_cmp(&normal[*b].abs()))
         .unwrap_or(0);
     let mut axis = [0.0; 3];
-    axis[least] = 1.0;
+    axis[min] = 1.0;
     let first = cross(normal, axis);
     let first = times(first, 1.0 / length(first));
     [first, cross(normal, first)]

@@ -14,26 +14,14 @@ const PRESETS: [(&str, Coefficients); 2] = [("P1", Coefficients::P1), ("P2", Coe
 /// Returns the force of largest magnitude of each axis over the last revolutions, with its sign:
 /// "high" of the experiments.
 fn high(cuts: &[Cut]) -> [f64; 3] {
-    let (most, least) = peaks(cuts, 8);
-    core::array::from_fn(|i| {
-        if most[i] > -least[i] {
-            most[i]
-        } else {
-            least[i]
-        }
-    })
+    let (max, min) = peaks(cuts, 8);
+    core::array::from_fn(|i| if max[i] > -min[i] { max[i] } else { min[i] })
 }
 
 /// Returns the force nearest to the other side: "low" of the experiments.
 fn low(cuts: &[Cut]) -> [f64; 3] {
-    let (most, least) = peaks(cuts, 8);
-    core::array::from_fn(|i| {
-        if most[i] > -least[i] {
-            least[i]
-        } else {
-            most[i]
-        }
-    })
+    let (max, min) = peaks(cuts, 8);
+    core::array::from_fn(|i| if max[i] > -min[i] { min[i] } else { max[i] })
 }
 
 fn show(what: &str, force: [f64; 3]) {

@@ -224,10 +224,10 @@ fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
         .position(|(_, truth)| truth.tip[0] < -29.5)
         .expect("arrives");
     let swing = |speeds: &[f64]| {
-        let (least, most) = speeds
+        let (min, max) = speeds
             .iter()
             .fold((f64::MAX, 0.0_f64), |m, v| (m.0.min(*v), m.1.max(*v)));
-        most - least
+        max - min
     };
     let (early, late) = (swing(&speeds[..20]), swing(&speeds[25..]));
     println!(
@@ -276,7 +276,7 @@ fn the_ball_follows_the_edge_of_a_hole() {
     let way = &course[(0.6 / PERIOD) as usize..];
     let radius =
         |truth: &HapticGroundTruth| ((truth.tip[0] + 15.0).powi(2) + truth.tip[1].powi(2)).sqrt();
-    let (least, most) = way
+    let (min, max) = way
         .iter()
         .map(radius)
         .fold((f64::MAX, 0.0_f64), |m, r| (m.0.min(r), m.1.max(r)));
@@ -289,11 +289,9 @@ fn the_ball_follows_the_edge_of_a_hole() {
         .position(|truth| truth.done)
         .expect("comes round") as f64
         * PERIOD;
-    println!(
-        "radius {least:.3} to {most:.3} mm, height within {height:.2} mm, round in {ends:.1} s"
-    );
+    println!("radius {min:.3} to {max:.3} mm, height within {height:.2} mm, round in {ends:.1} s");
     // 2 N on 40 N/mm are 0.05 mm.
-    assert!(least > 14.95 && most < 15.12, "{least} {most}");
+    assert!(min > 14.95 && max < 15.12, "{min} {max}");
     assert!(height < 0.6);
     assert!((24.0..29.0).contains(&ends), "{ends}");
     // First towards -X and -Y.

@@ -168,7 +168,7 @@ fn the_machine_cuts_a_slot_and_measures_the_force() {
     }
     assert_eq!(held.plant.truth().force, [0.0; 3]);
     // 9 mm at 4 mm/s: into the workpiece and on.
-    let (mut mean, mut most) = ([0.0; 3], 0.0_f64);
+    let (mut mean, mut max) = ([0.0; 3], 0.0_f64);
     for step in 0..11_250 {
         held.step(-4.0, 5000);
         // 30 revolutions of the spindle.
@@ -177,7 +177,7 @@ fn the_machine_cuts_a_slot_and_measures_the_force() {
             for i in 0..3 {
                 mean[i] += force[i] / 1800.0;
             }
-            most = most.max(force[0]);
+            max = max.max(force[0]);
             let process = held.plant.process().expect("a process");
             let codes = held.plant.force_codes().expect("a sensor");
             assert!((f64::from(codes[0]) * 100.0 / 8192.0 + process.force()[0]).abs() < 0.01);
@@ -188,7 +188,7 @@ fn the_machine_cuts_a_slot_and_measures_the_force() {
     for (ours, rigid) in mean.into_iter().zip([2.76, -1.77, 3.69]) {
         assert!((ours - rigid).abs() < 0.2, "{mean:?}");
     }
-    assert!(most > 5.0 && most < 8.0, "{most}");
+    assert!(max > 5.0 && max < 8.0, "{max}");
     // The structure deflects by the mean force over its stiffness, and the ground truth contains
     // that.
     let deflection = held
@@ -269,14 +269,14 @@ fn a_stopped_feed_in_material_has_no_cutting_force() {
     for _ in 0..5000 {
         held.step(0.0, 5000);
     }
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for _ in 0..2500 {
         held.step(0.0, 5000);
         for part in held.plant.truth().force {
-            most = most.max(part.abs());
+            max = max.max(part.abs());
         }
     }
-    assert!(most < 0.05, "{most}");
+    assert!(max < 0.05, "{max}");
 }
 
 #[test]

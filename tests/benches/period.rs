@@ -72,12 +72,12 @@ fn cutting() -> Bench<Timed> {
     bench
 }
 
-/// Mean time of the controller over periods of which a machine has `most`.
-fn controller(iterations: u64, most: u64, machine: impl Fn() -> Bench<Timed>) -> Duration {
+/// Mean time of the controller over periods of which a machine has `max`.
+fn controller(iterations: u64, max: u64, machine: impl Fn() -> Bench<Timed>) -> Duration {
     let mut spent = Duration::ZERO;
     let mut left = iterations;
     while left > 0 {
-        let now = left.min(most);
+        let now = left.min(max);
         let mut bench = machine();
         bench.rig.control_mut().spent = Duration::ZERO;
         for _ in 0..now {

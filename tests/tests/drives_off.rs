@@ -193,16 +193,16 @@ fn a_joint_moved_by_hand_keeps_its_position() {
             for joint in 0..4 {
                 bench.rig.plant_mut().set_load(joint, effort);
             }
-            let mut most = 0.0_f64;
+            let mut max = 0.0_f64;
             for _ in 0..periods {
                 bench.step();
-                most = most.max(bench.rig.plant().bodies().slide_rate[0].abs());
+                max = max.max(bench.rig.plant().bodies().slide_rate[0].abs());
             }
             for joint in 0..4 {
                 bench.rig.plant_mut().set_load(joint, 0.0);
             }
             bench.steps(5000);
-            println!("by hand at {most:.0} mm/s");
+            println!("by hand at {max:.0} mm/s");
             remove_cause(&mut bench);
             if how != Off::Disabled {
                 bench.ask(Command::Reset).expect("reset");

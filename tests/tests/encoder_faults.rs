@@ -57,7 +57,7 @@ fn a_reversed_encoder_of_the_table_does_not_run_away() {
 #[test]
 fn a_stuck_channel_is_found_before_the_slide_is_fast() {
     let clean = EncoderCondition::default();
-    for (speed, most) in [
+    for (speed, max) in [
         // The error includes that at rest after homing, which keeps the effort of each drive.
         (0.02, 0.105),
         (-0.02, 0.105),
@@ -87,7 +87,7 @@ fn a_stuck_channel_is_found_before_the_slide_is_fast() {
         ] {
             let mut struck = run_with_joint_fault(0, joint, speed, encoder_fault(joint, condition));
             assert_eq!(struck.fault, Fault::EncoderStuck { joint: joint as u8 });
-            assert!(struck.off < most, "{speed} mm/s: {} mm", struck.off);
+            assert!(struck.off < max, "{speed} mm/s: {} mm", struck.off);
             struck
                 .bench
                 .rig

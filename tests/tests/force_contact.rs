@@ -165,9 +165,9 @@ fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
                 values.sort_by(f64::total_cmp);
                 values[values.len() / 2]
             };
-            let most = |value: fn(&Held) -> f64| held.iter().map(value).fold(0.0, f64::max);
+            let max = |value: fn(&Held) -> f64| held.iter().map(value).fold(0.0, f64::max);
             let held = Held {
-                first: most(|held| held.first),
+                first: max(|held| held.first),
                 oscillation: median(|held| held.oscillation),
                 mean: 5.0 + median(|held| (held.mean - 5.0).abs()),
                 level: held[0].level,

@@ -286,11 +286,11 @@ fn a_stalled_spindle_trips_the_force_limit() {
         .expect("there")
         .spindle_mut()
         .set_stalled(true);
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     let mut farthest = f64::INFINITY;
     for _ in 0..40_000 {
         bench.step();
-        most = most.max(bench.rig.truth().force[0].abs());
+        max = max.max(bench.rig.truth().force[0].abs());
         farthest = farthest.min(tool(&bench)[0]);
         if state(&bench) == State::Fault {
             break;
@@ -307,7 +307,7 @@ fn a_stalled_spindle_trips_the_force_limit() {
     );
     let left = bench.rig.truth().force[0].abs();
     let back = tool(&bench)[0] - farthest;
-    println!("at most {most:.1} N; {back:.3} mm back, {left:.1} N left");
+    println!("at most {max:.1} N; {back:.3} mm back, {left:.1} N left");
     assert!(back > 0.5 && left < 40.0);
     assert!(bench.rig.control().safety().homed());
 }

@@ -43,16 +43,16 @@ fn the_displacement_follows_the_admittance_law_and_returns() {
         }
         assert!(before > 5.0);
         let (from, rate_from) = (displacement(&bench), displacement_rate(&bench));
-        let (mut pushed, mut most) = (0.0, 0.0_f64);
+        let (mut pushed, mut max) = (0.0, 0.0_f64);
         for _ in 0..7500 {
             bench.step();
             pushed += (peak(&bench) - 5.0) * PERIOD;
-            most = most.max(peak(&bench));
+            max = max.max(peak(&bench));
         }
         let expected = damping * (displacement(&bench) - from)
             + mass * (displacement_rate(&bench) - rate_from);
         println!(
-            "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, expected {expected:.4} N s, peak {most:.2} N, p_c {:.3} mm",
+            "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, expected {expected:.4} N s, peak {max:.2} N, p_c {:.3} mm",
             displacement(&bench)
         );
         assert!(pushed.abs() > 0.2, "no force on the tool");
@@ -299,10 +299,10 @@ fn the_compliant_displacement_stays_within_its_limit() {
     control(&mut bench, 0, short);
     bench.events.clear();
     job(&mut bench, -1.0, 15, 1.0);
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for _ in 0..20_000 {
         bench.step();
-        most = most.max(displacement(&bench));
+        max = max.max(displacement(&bench));
     }
     let limited = bench
         .events
@@ -310,10 +310,10 @@ fn the_compliant_displacement_stays_within_its_limit() {
         .filter(|event| **event == Event::ComplianceLimited { axis: 0 })
         .count();
     println!(
-        "displaced by at most {most:.4} mm, reported {limited} times: {:?}",
+        "displaced by at most {max:.4} mm, reported {limited} times: {:?}",
         bench.events
     );
-    assert!((0.49..=0.5).contains(&most), "{most}");
+    assert!((0.49..=0.5).contains(&max), "{max}");
     assert_eq!(limited, 1);
     assert!(reported_faults(&bench).is_empty());
 }
@@ -367,15 +367,15 @@ fn pushed_to_the_limit(from: f64) -> (Bench, [f64; 3]) {
     bench.steps(5000);
     let process = bench.rig.plant_mut().process_mut().expect("there");
     process.set_wall(face(at[0] + 3.0));
-    let mut most = f64::NEG_INFINITY;
+    let mut max = f64::NEG_INFINITY;
     for _ in 0..20_000 {
         bench.step();
         let reference = bench.rig.control().machine().expect("there").reference();
-        most = most.max(f64::from(reference.pose.0[0].0) / MM);
+        max = max.max(f64::from(reference.pose.0[0].0) / MM);
     }
     let commanded = f64::from(bench.status().commanded[0]) / MM;
     assert!((commanded - from).abs() < 1e-4, "{commanded}");
-    assert_eq!(most, commanded.max(1.0));
+    assert_eq!(max, commanded.max(1.0));
     // 20 N deflect the servo by some hundredths of a millimetre.
     assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);

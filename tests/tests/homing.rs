@@ -163,11 +163,11 @@ fn the_homing_correction_does_not_move_the_tool() {
         bench.step();
     }
     let before = tool(&bench);
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for _ in 0..1000 {
         bench.step();
-        most = most.max(distance(&bench, before));
+        max = max.max(distance(&bench, before));
     }
-    println!("correction: the tool moved {most:.4} mm");
-    assert!(most < 0.02, "{most} mm");
+    println!("correction: the tool moved {max:.4} mm");
+    assert!(max < 0.02, "{max} mm");
 }

@@ -124,8 +124,8 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     // What a path needs that touches the limit is within it, and no unit more. The arms do not
     // reach so far.
     let limits = &bench.machine.config.pose[1];
-    let most = limits.high.0 + limits.kind.soft_limit_tolerance() - offset;
-    for (place, is_beyond) in [(most + 1, true), (most, false)] {
+    let max = limits.high.0 + limits.kind.soft_limit_tolerance() - offset;
+    for (place, is_beyond) in [(max + 1, true), (max, false)] {
         far.pose[1] = place;
         let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
         let items = [coder.encode(&far).expect("codes")].into_iter().collect();

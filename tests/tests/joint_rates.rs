@@ -41,19 +41,19 @@ fn fastest_slide(bench: &mut Bench) -> f64 {
         let joints = machine.target().joints.0;
         [0, 1, 2, 3].map(|joint: usize| f64::from(joints[joint].0) / MM)
     };
-    let (mut most, mut still) = (0.0_f64, 0);
+    let (mut max, mut still) = (0.0_f64, 0);
     let mut before = slides(bench);
     for _ in 0..60_000 {
         bench.step();
         let now = slides(bench);
-        let step = (0..4).fold(0.0_f64, |most, joint| {
-            most.max((now[joint] - before[joint]).abs())
+        let step = (0..4).fold(0.0_f64, |max, joint| {
+            max.max((now[joint] - before[joint]).abs())
         });
         still = if step == 0.0 { still + 1 } else { 0 };
         if still > 1000 {
-            return most;
+            return max;
         }
-        most = most.max(step / 2e-4);
+        max = max.max(step / 2e-4);
         before = now;
     }
     panic!("the machine does not come to rest");
@@ -61,8 +61,8 @@ fn fastest_slide(bench: &mut Bench) -> f64 {
 
 /// The machine brakes before the refused setpoint, keeps its position and accepts the next job.
 fn assert_stopped_and_usable(bench: &mut Bench) {
-    let most = fastest_slide(bench);
-    assert!(most <= 1.02 * LIMIT, "a slide was commanded {most} mm/s");
+    let max = fastest_slide(bench);
+    assert!(max <= 1.02 * LIMIT, "a slide was commanded {max} mm/s");
     assert_eq!(state(bench), State::Run);
     bench.ask(Command::Stop).expect("stops");
     assert!(bench.wait_for(State::Idle, 2000));
@@ -149,8 +149,8 @@ fn an_excessive_joint_rate_between_two_setpoints_is_refused() {
         let peak = peak_rates(&start, &[setpoint.clone()])[0];
         assert_eq!(send_job(&mut bench, &[setpoint]), None);
         bench.ask(Command::JobEnd { count: 1 }).expect("complete");
-        let most = fastest_slide(&mut bench);
-        assert!((most / peak - 1.0).abs() < 0.01, "{most} of {peak}");
+        let max = fastest_slide(&mut bench);
+        assert!((max / peak - 1.0).abs() < 0.01, "{max} of {peak}");
     }
 }
 
@@ -182,7 +182,7 @@ fn no_stream_exceeds_a_joint_rate() {
         assert!(bench.wait_for(State::Idle, 10_000));
         let start = bench.status().commanded;
         let axis = 1 + case % 4;
-        let most = if axis < 3 { 49.0 } else { 29.0 };
+        let max = if axis < 3 { 49.0 } else { 29.0 };
         let span = uniform(2.0, 120.0) as u16;
         let sign = if uniform(-1.0, 1.0) < 0.0 { -1.0 } else { 1.0 };
         let (mut place, mut before, mut setpoints) = (0.0, 0.0_f64, Vec::new());
@@ -190,7 +190,7 @@ fn no_stream_exceeds_a_joint_rate() {
         // Random rates with an acceleration of at most 3 times that of a jog.
         while setpoints.len() < 400 && f64::abs(place) < 30.0 {
             let time = f64::from(span) * 2e-4;
-            let rate = f64::min(before + uniform(0.0, 300.0) * time, most);
+            let rate = f64::min(before + uniform(0.0, 300.0) * time, max);
             place += sign * (before + rate) / 2.0 * time;
             before = rate;
             let mut setpoint = rest(&start, span);
@@ -258,8 +258,8 @@ fn a_stream_at_the_maximum_rate_is_accepted() {
     }
     assert_eq!(send_job(&mut bench, &job(low)), None);
     bench.ask(Command::JobEnd { count: 4 }).expect("complete");
-    let most = fastest_slide(&mut bench);
-    assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&most), "{most}");
+    let max = fastest_slide(&mut bench);
+    assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&max), "{max}");
     assert_eq!(state(&bench), State::Idle);
 }
 
@@ -281,7 +281,7 @@ fn no_pace_exceeds_a_joint_rate_at_any_override() {
             let mut setpoints = tilt(&start, &spans);
             setpoints[0].action = Action::OverrideMode(OverrideMode::feed_up_to(percent));
             let peaks = peak_rates(&start, &setpoints);
-            let peak = peaks.iter().fold(0.0_f64, |most, peak| most.max(*peak));
+            let peak = peaks.iter().fold(0.0_f64, |max, peak| max.max(*peak));
             let fastest = peak * f64::from(percent) / 100.0;
             let refused = send_job(&mut bench, &setpoints);
             println!("{percent} %: {peak:.1} mm/s, {refused:?}");
@@ -294,9 +294,9 @@ fn no_pace_exceeds_a_joint_rate_at_any_override() {
             if refused.is_none() {
                 let count = setpoints.len() as u32;
                 bench.ask(Command::JobEnd { count }).expect("complete");
-                let most = fastest_slide(&mut bench);
-                assert!(most <= 1.03 * LIMIT, "{most} mm/s");
-                assert!(most > 0.97 * fastest, "{most} of {fastest} mm/s");
+                let max = fastest_slide(&mut bench);
+                assert!(max <= 1.03 * LIMIT, "{max} mm/s");
+                assert!(max > 0.97 * fastest, "{max} of {fastest} mm/s");
             } else {
                 assert_stopped_and_usable(&mut bench);
             }

@@ -275,8 +275,8 @@ fn jogs_during_a_program_exceed_no_joint_rate_or_are_reported() {
         jog_during_job(&mut bench, speeds, &tilt(&start, &spans));
         let mut commanded = Commanded::default();
         for epoch in 2..=10 {
-            let least = if slow { 5.0 } else { 80.0 };
-            let percent = random.uniform(least, 100.9) as u8;
+            let min = if slow { 5.0 } else { 80.0 };
+            let percent = random.uniform(min, 100.9) as u8;
             let _ = bench.send(Command::Override { percent });
             let rates = [
                 (1, random.sign() * random.uniform(10.0, 50.0)),
@@ -290,21 +290,21 @@ fn jogs_during_a_program_exceed_no_joint_rate_or_are_reported() {
         }
         bench.steps(500);
         let fault = joint_rate_fault(&bench);
-        let most = commanded.fastest;
-        println!("case {case}, {speed:.1} degrees/s: {most:.3} mm/s, {fault:?}");
+        let max = commanded.fastest;
+        println!("case {case}, {speed:.1} degrees/s: {max:.3} mm/s, {fault:?}");
         assert!(
-            most <= 1.10 * LIMIT,
-            "case {case}: a slide was commanded {most} mm/s"
+            max <= 1.10 * LIMIT,
+            "case {case}: a slide was commanded {max} mm/s"
         );
         // The joint accelerates until the deceleration has built up. A mean over 8 periods is a
         // little less than the rate of one.
         assert!(
-            fault.is_some() || most <= 1.033 * LIMIT,
-            "case {case}: {most} mm/s was not reported"
+            fault.is_some() || max <= 1.033 * LIMIT,
+            "case {case}: {max} mm/s was not reported"
         );
         assert!(
-            fault.is_none() || most > 1.029 * LIMIT,
-            "case {case}: {fault:?} at {most} mm/s"
+            fault.is_none() || max > 1.029 * LIMIT,
+            "case {case}: {fault:?} at {max} mm/s"
         );
         if fault.is_some() {
             assert!(bench.status().homed && !setup::drives_off(&bench));
@@ -312,7 +312,7 @@ fn jogs_during_a_program_exceed_no_joint_rate_or_are_reported() {
         } else {
             fine += 1;
         }
-        fast += u32::from(most > 0.9 * LIMIT);
+        fast += u32::from(max > 0.9 * LIMIT);
         assert!(!slow || fault.is_none(), "case {case}: {fault:?}");
     }
     println!("{reported} reported, {fine} not, {fast} fast");

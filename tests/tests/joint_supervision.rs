@@ -98,7 +98,7 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
         stribeck: 1.0,
         slide_share: 0.5,
     };
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for phase in 0..8 {
         let mut slide = Slide::new(friction, 1.0, 0.0, f64::from(phase) / 2.0 + 0.1);
         let mut commanded = 0.0;
@@ -114,9 +114,9 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
             fault.is_some()
         });
         assert!(found, "{speed} mm/s {condition:?}");
-        most = most.max((slide.travel() - commanded).abs());
+        max = max.max((slide.travel() - commanded).abs());
     }
-    most
+    max
 }
 
 /// A stuck channel is found by the reversals of the other one, at any friction.
@@ -124,7 +124,7 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
 /// The bounds include half of the compensated lost motion, 0.013 mm.
 #[test]
 fn a_stuck_channel_is_found_whatever_the_friction() {
-    for (speed, most) in [
+    for (speed, max) in [
         (0.005, 0.15),
         (0.02, 0.11),
         (0.05, 0.1),
@@ -143,7 +143,7 @@ fn a_stuck_channel_is_found_whatever_the_friction() {
                         ..EncoderCondition::default()
                     };
                     let off = found_after(speed, condition, standing, breakaway);
-                    assert!(off < most, "{speed} mm/s: {off} mm");
+                    assert!(off < max, "{speed} mm/s: {off} mm");
                 }
             }
         }
@@ -154,7 +154,7 @@ fn a_stuck_channel_is_found_whatever_the_friction() {
 /// fast motion, late at creep rates.
 #[test]
 fn a_dead_encoder_is_found_by_the_effort() {
-    for (speed, standing, most) in [
+    for (speed, standing, max) in [
         (0.2, false, 4.0),
         (0.5, false, 1.0),
         (1.0, false, 0.33),
@@ -173,6 +173,6 @@ fn a_dead_encoder_is_found_by_the_effort() {
             ..EncoderCondition::default()
         };
         let off = found_after(speed, condition, standing, 40.0);
-        assert!(off < most, "{speed} mm/s, standing {standing}: {off} mm");
+        assert!(off < max, "{speed} mm/s, standing {standing}: {off} mm");
     }
 }

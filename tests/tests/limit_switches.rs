@@ -81,8 +81,8 @@ fn following(bench: &Bench) -> f64 {
         return 0.0;
     }
     let machine = bench.rig.control().machine().expect("configured");
-    machine.joints().fold(0.0_f64, |most, joint| {
-        most.max(f64::from(joint.following_error.0).abs() / MM)
+    machine.joints().fold(0.0_f64, |max, joint| {
+        max.max(f64::from(joint.following_error.0).abs() / MM)
     })
 }
 

@@ -62,7 +62,7 @@ fn largest(values: &[f64], order: usize, apart: usize, period: f64) -> f64 {
     let time = (apart as f64 * period).powi(order as i32);
     values
         .iter()
-        .fold(0.0f64, |most, value| most.max(value.abs()))
+        .fold(0.0f64, |max, value| max.max(value.abs()))
         / time
 }
 
@@ -221,8 +221,8 @@ fn past_the_vertical_tool_the_feed_falls() {
         .filter(|all| all[0][4].abs() < 89.999)
         .collect();
     let seconds = turning.len() as f64 * f64::from(machine.config.period_us) * 1e-6;
-    let least = 80.0 * 80.0_f64.to_radians() / 150.0;
-    assert!(seconds > least, "{seconds} s");
+    let min = 80.0 * 80.0_f64.to_radians() / 150.0;
+    assert!(seconds > min, "{seconds} s");
     for [commanded, _, tool] in turning {
         // From the line, in the workpiece.
         let off = |place: &[f64; 6]| (place[1] - 0.5 * (place[0] - 80.0)).abs() * 0.8_f64.sqrt();

@@ -233,11 +233,8 @@ impl Invariants {
                 let step = i64::from(place[axis].wrapping_sub(self.commanded[axis]));
                 // Rounding may make a setpoint 2 % faster. Between setpoints a cubic may be half as
                 // fast again.
-                let most = i64::from(limits.rate.0) / 5000 * 153 / 100 + 2;
-                assert!(
-                    step.abs() <= most,
-                    "axis {axis} jumped by {step} in {now:?}"
-                );
+                let max = i64::from(limits.rate.0) / 5000 * 153 / 100 + 2;
+                assert!(step.abs() <= max, "axis {axis} jumped by {step} in {now:?}");
                 // The rate is the derivative: its mean over the period is the step, except for
                 // rounding and the curvature within the period.
                 let mean = (i64::from(rates[axis]) + i64::from(self.rates[axis])) / 2 / 5000;

@@ -54,14 +54,14 @@ impl Feeder {
     }
 }
 
-/// Runs periods. Returns the speed in x of each, mm/s; it may change by `most` in one.
-fn run_smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
+/// Runs periods. Returns the speed in x of each, mm/s; it may change by `max` in one.
+fn run_smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, max: f64) {
     for period in 0..periods {
         let before = commanded(bench)[0];
         bench.step();
         let now = f64::from(commanded(bench)[0] - before) / MM / 2e-4;
         assert!(
-            (now - *speed).abs() <= most,
+            (now - *speed).abs() <= max,
             "period {period}: from {speed} to {now} mm/s in one period, {:?}",
             state(bench)
         );

@@ -123,7 +123,7 @@ fn the_true_tip_of_a_longer_tool_keeps_its_line() {
                 axis: tool_axis(machine.config.model.descriptor()),
                 length: longer,
             };
-            let mut most = [0.0f64; 3];
+            let mut max = [0.0f64; 3];
             let mut count = 0;
             for [commanded, tool] in turning {
                 // The line has the direction (0.8, 0.6, 0).
@@ -133,12 +133,12 @@ fn the_true_tip_of_a_longer_tool_keeps_its_line() {
                 };
                 let tip = length.tip_pose(commanded);
                 let off = [off(commanded, z + longer), off(tool, z), off(&tip, z)];
-                most = std::array::from_fn(|k| most[k].max(off[k]));
+                max = std::array::from_fn(|k| max[k].max(off[k]));
                 count += 1;
             }
             assert!(count > 1000, "{name}: {count} periods");
-            println!("{name}, {longer} mm longer: {most:.4?}");
-            most
+            println!("{name}, {longer} mm longer: {max:.4?}");
+            max
         };
         let (file, longer) = (off_line(0.0), off_line(9.5));
         // The pose of the machine is no line along Z from that of the tip.

@@ -155,19 +155,19 @@ proptest! {
         let kinematics = config.kinematics();
         let mut jog = Jog::new(config);
         jog.begin(&pose(start), true);
-        let most = f64::from(config.pose[C].rate.0);
+        let max = f64::from(config.pose[C].rate.0);
         let mut unwound = Unwound { angle: start, total: 0 };
         let (mut integral, mut before, mut periods) = (0.0, 0.0, 0);
         for (part, length) in targets {
             let mut rates = [0; MAX_AXES];
-            rates[C] = (part * most) as i64;
+            rates[C] = (part * max) as i64;
             jog.set_rates(&rates, length);
             for _ in 0..length {
                 let envelope = jog.stopping(true).expect("an envelope");
                 let (commanded, limited) = jog.advance(&kinematics);
                 prop_assert_eq!(limited, None);
                 let by = unwound.follow(commanded.pose.0[C]) as f64;
-                prop_assert!(by.abs() <= most * PERIOD * 1.001 + 2.0, "{} units in a period", by);
+                prop_assert!(by.abs() <= max * PERIOD * 1.001 + 2.0, "{} units in a period", by);
                 let arc = envelope.high.0[C].wrapping_sub(envelope.low.0[C]).0 as u32;
                 let at = commanded.pose.0[C].wrapping_sub(envelope.low.0[C]).0 as u32;
                 prop_assert!(at <= arc, "{} of {}", at, arc);
@@ -179,7 +179,7 @@ proptest! {
         }
         // The ramp adds the rate at the end of a period, so its sum may be half a period off.
         let off = unwound.total as f64 - integral;
-        prop_assert!(off.abs() < most * PERIOD + 2.0 * f64::from(periods), "{} units", off);
+        prop_assert!(off.abs() < max * PERIOD + 2.0 * f64::from(periods), "{} units", off);
         let envelope = jog.stopping(false).expect("an envelope");
         let arc = envelope.high.0[C].wrapping_sub(envelope.low.0[C]).0 as u32;
         jog.release();
@@ -198,7 +198,7 @@ proptest! {
         steps in prop::collection::vec((-1.0..1.0_f64, 100_u16..1250), 1..60),
     ) {
         let config = &MACHINE.config;
-        let most = f64::from(config.pose[C].rate.0);
+        let max = f64::from(config.pose[C].rate.0);
         let home = pose(start);
         let base: AxisValues = home.0[..5].iter().map(|coordinate| coordinate.0).collect();
         let mut sender = SetpointCoder::new(config.period_us, &base);
@@ -210,11 +210,11 @@ proptest! {
         let last = steps.len() - 1;
         for (index, (part, periods)) in steps.into_iter().enumerate() {
             let (at, place, rate) = knots[knots.len() - 1];
-            let wire = if index == last { 0 } else { (part * most / 256.0) as i64 };
+            let wire = if index == last { 0 } else { (part * max / 256.0) as i64 };
             // At most the acceleration that setpoints may have: a change of rate takes its time.
             let change = (wire * 256 - rate).unsigned_abs() as f64;
-            let least = change / (4.0 * 256.0 * f64::from(config.pose[C].acceleration.0)) / PERIOD;
-            let periods = periods.max(least.ceil() as u16);
+            let min = change / (4.0 * 256.0 * f64::from(config.pose[C].acceleration.0)) / PERIOD;
+            let periods = periods.max(min.ceil() as u16);
             let end = wire * 256;
             let by = ((rate + end) as f64 * 0.5 * f64::from(periods) * PERIOD).round() as i64;
             let setpoint = Setpoint {

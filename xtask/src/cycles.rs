@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 use syn::visit::Visit;
 
 /// Most files of a cycle.
-const MOST_FILES: usize = 2;
+const MAX_FILES: usize = 2;
 
 /// Longest chain of re-exports that is followed.
-const MOST_REEXPORTS: usize = 16;
+const MAX_REEXPORTS: usize = 16;
 
 /// Path of a module or item from the root of its crate.
 type Names = Vec<String>;
@@ -86,7 +86,7 @@ pub fn lint(root: &Path) -> Result<(), String> {
     match count {
         0 => Ok(()),
         count => Err(format!(
-            "{count} dependency cycles have more than {MOST_FILES} files; move the shared definition \
+            "{count} dependency cycles have more than {MAX_FILES} files; move the shared definition \
              to a file of its own"
         )),
     }
@@ -95,7 +95,7 @@ pub fn lint(root: &Path) -> Result<(), String> {
 /// Returns the cycles of more than two files of the crate with this first file.
 fn cycles(start: &Path) -> Result<Vec<Vec<PathBuf>>, String> {
     let mut found = all_cycles(start)?;
-    found.retain(|files| files.len() > MOST_FILES);
+    found.retain(|files| files.len() > MAX_FILES);
     Ok(found.into_iter().collect())
 }
 
@@ -190,7 +190,7 @@ impl Crate {
         let mut edges = vec![BTreeSet::new(); self.files.len()];
         for (names, module) in &self.modules {
             for path in &module.references {
-                if let Some(file) = self.file_of(path, MOST_REEXPORTS)
+                if let Some(file) = self.file_of(path, MAX_REEXPORTS)
                     && file != module.file
                     && !self.roots[file].starts_with(names)
                 {

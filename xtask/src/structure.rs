@@ -41,14 +41,14 @@ pub fn structure(root: &Path) -> Result<(), String> {
         );
     }
     let total = |part: usize| rows.iter().map(|row| row.lines[part]).sum::<usize>();
-    let most = |of: fn(&Row) -> usize| rows.iter().map(of).max().unwrap_or_default();
+    let max = |of: fn(&Row) -> usize| rows.iter().map(of).max().unwrap_or_default();
     println!(
         "| {} crates | {} | {} | {} | {} |",
         rows.len(),
         total(0),
         total(1),
-        most(|row| row.longest),
-        most(|row| row.cycle)
+        max(|row| row.longest),
+        max(|row| row.cycle)
     );
     println!();
     println!("Comment lines over 100 columns: {}", long_comments(root)?);

@@ -3,7 +3,7 @@
 /// Start of the flash.
 const FLASH: u32 = 0x1000_0000;
 /// Largest flash of a board, bytes.
-const MOST: usize = 4 << 20;
+const MAX: usize = 4 << 20;
 /// The boot ROM looks for the boot block in the first 4 KiB.
 const BOOT_BYTES: usize = 4096;
 
@@ -44,7 +44,7 @@ fn flash(elf: &[u8]) -> Result<Vec<u8>, String> {
             continue;
         }
         let from = address.checked_sub(FLASH).map(|from| from as usize);
-        let Some(from) = from.filter(|from| from + length <= MOST) else {
+        let Some(from) = from.filter(|from| from + length <= MAX) else {
             return Err(format!(
                 "{length} bytes at {address:#010x} are not in the flash"
             ));

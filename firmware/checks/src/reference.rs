@@ -231,9 +231,9 @@ pub fn haptic() -> HapticConfig {
         full_scale: Effort(newton(full)),
         limit: Effort(newton(limit)),
     };
-    let feedback = |percent, most| ForceFeedbackAxis {
+    let feedback = |percent, max| ForceFeedbackAxis {
         percent,
-        limit: newton(most),
+        limit: newton(max),
     };
     HapticConfig {
         geometry: HapticGeometry {
@@ -263,7 +263,7 @@ pub fn haptic() -> HapticConfig {
         },
         fixture: FixtureConfig {
             stiffness: newton(0.35) as u32,
-            most: Force(newton(5.5)),
+            max: Force(newton(5.5)),
         },
         passivity: PassivityConfig {
             surplus: newton(0.5) as u32,

@@ -124,10 +124,10 @@ impl<W: SetDutyCycle, P: OutputPin> Spindle<W, P> {
             result.map_err(Error::Pin)?;
             self.is_reverse = is_reverse;
         }
-        let most = self.pwm.max_duty_cycle();
-        let duty = self.curve.duty(rpm.unsigned_abs()) * f32::from(most);
+        let max = self.pwm.max_duty_cycle();
+        let duty = self.curve.duty(rpm.unsigned_abs()) * f32::from(max);
         // micromath: `core` has no rounding of f32.
         let duty = F32Ext::round(duty) as u16;
-        self.pwm.set_duty_cycle(duty.min(most)).map_err(Error::Pwm)
+        self.pwm.set_duty_cycle(duty.min(max)).map_err(Error::Pwm)
     }
 }

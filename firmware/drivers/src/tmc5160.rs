@@ -33,7 +33,7 @@ const CHOPCONF: u32 = 3 | 4 << 4 | 4 << 7 | 2 << 15 | 1 << 28;
 const FULL_SCALE_UV: u64 = 325_000;
 const HOLD_DELAY: u32 = 6;
 /// Least value of the global scaler; less is not allowed (data sheet 6.1).
-const LEAST_SCALER: u64 = 32;
+const MIN_SCALER: u64 = 32;
 
 /// Reason why a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -243,7 +243,7 @@ fn current_ma(scaler: u64, code: u64, sense_mohm: u16) -> u16 {
 /// Global scaler (0 is 256) of the run current at code 31, and code of the hold current.
 fn codes(currents: Currents) -> Result<(u8, u8), CurrentError> {
     let of = |scaler, code| current_ma(scaler, code, currents.sense_mohm);
-    let limits = (of(LEAST_SCALER, 31), of(256, 31));
+    let limits = (of(MIN_SCALER, 31), of(256, 31));
     if currents.run_ma < limits.0 || currents.run_ma > limits.1 {
         return Err(CurrentError {
             wanted_ma: currents.run_ma,
@@ -251,10 +251,7 @@ fn codes(currents: Currents) -> Result<(u8, u8), CurrentError> {
         });
     }
     let fits = |scaler: &u64| of(*scaler, 31) <= currents.run_ma;
-    let scaler = (LEAST_SCALER..=256)
-        .rev()
-        .find(fits)
-        .unwrap_or(LEAST_SCALER);
+    let scaler = (MIN_SCALER..=256).rev().find(fits).unwrap_or(MIN_SCALER);
     if currents.hold_ma > currents.run_ma {
         return Err(CurrentError {
             wanted_ma: currents.hold_ma,

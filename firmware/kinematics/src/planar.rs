@@ -91,8 +91,8 @@ pub(crate) struct Turn {
     pub(crate) sine: u32,
     pub(crate) versine: u32,
     /// Bounds of the magnitudes of sine and cosine over the range.
-    pub(crate) most_sine: u32,
-    pub(crate) most_cosine: u32,
+    pub(crate) max_sine: u32,
+    pub(crate) max_cosine: u32,
 }
 
 /// Box about a vector of a plane.
@@ -117,13 +117,13 @@ impl Turn {
         let versine = ((by * by) >> 31).min(u64::from(2 * one)) as u32;
         let sine = by.min(u64::from(one)) as u32;
         let (sine, versine) = if half == 0 { (0, 0) } else { (sine, versine) };
-        let most = |value: i32| value.unsigned_abs().saturating_add(sine).min(one);
+        let max = |value: i32| value.unsigned_abs().saturating_add(sine).min(one);
         Self {
             angle,
             sine,
             versine,
-            most_sine: most(angle.0),
-            most_cosine: most(angle.1),
+            max_sine: max(angle.0),
+            max_cosine: max(angle.1),
         }
     }
 
@@ -136,15 +136,15 @@ impl Turn {
             total(share(a, cosine), share(b, sine)),
             total(share(a, sine), share(b, cosine)),
         ];
-        let most = [
+        let max = [
             total(middle[0].abs(), half[0]),
             total(middle[1].abs(), half[1]),
         ];
         let swung =
             |along: i64, aside: i64| total(share(aside, self.sine), share(along, self.versine));
         let half = [
-            total(total(half[0], swung(most[0], most[1])), ROUNDED),
-            total(total(half[1], swung(most[1], most[0])), ROUNDED),
+            total(total(half[0], swung(max[0], max[1])), ROUNDED),
+            total(total(half[1], swung(max[1], max[0])), ROUNDED),
         ];
         Swept {
             middle,
@@ -160,8 +160,8 @@ impl Turn {
             multiply_high(per_turn(lever), rate)
         };
         let along = [
-            total(share(a, self.most_cosine), share(b, self.most_sine)),
-            total(share(a, self.most_sine), share(b, self.most_cosine)),
+            total(share(a, self.max_cosine), share(b, self.max_sine)),
+            total(share(a, self.max_sine), share(b, self.max_cosine)),
         ];
         [
             total(total(along[0], round(1)), ROUNDED_RATE),

@@ -3,7 +3,7 @@
 //!
 //! | type | resolution | range |
 //! | --- | --- | --- |
-//! | [`Force`] | 2^-16 N | +-32768 N; sensor values are within [`Force::MOST`], 2048 N |
+//! | [`Force`] | 2^-16 N | +-32768 N; sensor values are within [`Force::MAX`], 2048 N |
 //! | [`VirtualMass`] | 2^-16 N s^2/mm | below 65536 |
 //! | [`VirtualDamping`] | 2^-16 N s/mm | below 65536 |
 //! | [`Displacement`] | 2^-40 mm | +-8.4 m |
@@ -24,7 +24,7 @@ impl Force {
     /// Zero.
     pub const ZERO: Self = Self(0);
     /// Largest force that a sensor of this controller reports: 2048 N.
-    pub const MOST: Self = Self(1 << 27);
+    pub const MAX: Self = Self(1 << 27);
 
     /// A force in thousandths of a newton, rounded to the nearest raw unit, saturating at the end
     /// of the range.
@@ -40,13 +40,13 @@ impl Force {
         self.0.unsigned_abs()
     }
 
-    /// This force, clamped to +-[`Force::MOST`].
+    /// This force, clamped to +-[`Force::MAX`].
     #[must_use]
     pub const fn held(self) -> Self {
-        Self(if self.0 > Self::MOST.0 {
-            Self::MOST.0
-        } else if self.0 < -Self::MOST.0 {
-            -Self::MOST.0
+        Self(if self.0 > Self::MAX.0 {
+            Self::MAX.0
+        } else if self.0 < -Self::MAX.0 {
+            -Self::MAX.0
         } else {
             self.0
         })
@@ -93,8 +93,8 @@ mod tests {
     fn forces_round_and_hold() {
         assert_eq!(Force::millinewtons(1000), Force(65_536));
         assert_eq!(Force::millinewtons(-1), Force(-66));
-        assert_eq!(Force(i32::MIN).held(), Force(-Force::MOST.0));
-        assert_eq!(Force(i32::MAX).held(), Force::MOST);
+        assert_eq!(Force(i32::MIN).held(), Force(-Force::MAX.0));
+        assert_eq!(Force(i32::MAX).held(), Force::MAX);
         assert_eq!(Force(i32::MIN).magnitude(), 1 << 31);
     }
 

@@ -68,12 +68,12 @@ fn validate_setpoint(
     let mut piece = validated.saturating_sub(axes + 1) as u8;
     while piece < pieces {
         // The last piece ends at the pose that was checked. Any other one uses up the budget.
-        let (least, left) = if piece + 1 == pieces {
+        let (min, left) = if piece + 1 == pieces {
             (ENQUEUE, budget.saturating_sub(ENQUEUE))
         } else {
             (PIECE, 0)
         };
-        if *budget < least {
+        if *budget < min {
             break;
         }
         *budget = left;

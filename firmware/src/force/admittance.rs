@@ -69,7 +69,7 @@ pub const SOFT: u32 = 20;
 pub const ONSET: u32 = SOFT << 8;
 
 /// K_V of 0.1 N s/mm: below this, [`ZeroOrderHold`] has no scale for T / K_V.
-const LEAST_DAMPING: u64 = 6554;
+const MIN_DAMPING: u64 = 6554;
 
 /// Displacements below this are 0: 2^-20 mm.
 const NOTHING: i64 = 1 << 20;
@@ -127,7 +127,7 @@ impl AdmittanceLaw {
         delay_us: u32,
         largest_force: Force,
     ) -> Result<Self, ForceRefusal> {
-        let delay_us = delay_us.clamp(1, DELAY_MOST_US);
+        let delay_us = delay_us.clamp(1, DELAY_MAX_US);
         let highest = check(settings, period_us, delay_us, largest_force)?;
         let first = ZeroOrderHold::new(settings.mass, settings.damping, period_us);
         let mut added = [0; LEVELS];
@@ -160,7 +160,7 @@ impl AdmittanceLaw {
         for (creeping, added) in self.creeping.iter_mut().zip(self.added) {
             // Below 2^27 + 2^31, times 2^31.
             let damping = u64::from(self.settings.damping.0.saturating_add_signed(added));
-            *creeping = ((damping * creep) >> 20).min(Force::MOST.0 as u64) as i32;
+            *creeping = ((damping * creep) >> 20).min(Force::MAX.0 as u64) as i32;
         }
         self
     }
@@ -207,7 +207,7 @@ impl AdmittanceLaw {
 }
 
 /// Longest delay accepted: half a second.
-const DELAY_MOST_US: u32 = 500_000;
+const DELAY_MAX_US: u32 = 500_000;
 
 /// 2^-20 mm/s to 2^-(40 + FINENESS) mm per control period: below 2^31 * 2^10 * 2^20 / 10^6 before
 /// it is clamped.
@@ -245,22 +245,22 @@ fn check(
         bound: bound.min(i32::MAX as u64) as i32,
     };
     let setpoint = settings.setpoint;
-    if setpoint < LoopSettings::LEAST_SETPOINT {
+    if setpoint < LoopSettings::MIN_SETPOINT {
         return Err(refuse(
             ForceParameter::SetpointTooSmall,
-            u64::from(LoopSettings::LEAST_SETPOINT.magnitude()),
+            u64::from(LoopSettings::MIN_SETPOINT.magnitude()),
         ));
     }
     // Above three quarters of the range too little range is left to measure the excess force.
-    let most = largest_force.held().0.max(0) / 4 * 3;
-    if setpoint.0 > most {
-        return Err(refuse(ForceParameter::SetpointTooLarge, most as u64));
+    let max = largest_force.held().0.max(0) / 4 * 3;
+    if setpoint.0 > max {
+        return Err(refuse(ForceParameter::SetpointTooLarge, max as u64));
     }
     // Level 0 must be stable on contacts that the monitor ignores: K_V >= k tau.
-    let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
-    let least = least.max(LEAST_DAMPING);
-    if u64::from(settings.damping.0) < least {
-        return Err(refuse(ForceParameter::DampingTooSmall, least));
+    let min = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
+    let min = min.max(MIN_DAMPING);
+    if u64::from(settings.damping.0) < min {
+        return Err(refuse(ForceParameter::DampingTooSmall, min));
     }
     if settings.damping.0 > 1 << 26 {
         return Err(refuse(ForceParameter::DampingTooLarge, 1 << 26));
@@ -271,8 +271,8 @@ fn check(
         highest += 1;
     }
     // K_A >= K_V T for the most damped level, and K_A <= 2^18 K_V T for the least damped one.
-    let most = u64::from(damping(settings, delay_us, highest).0);
-    let lightest = (most * u64::from(period_us)).div_ceil(1_000_000).max(1);
+    let max = u64::from(damping(settings, delay_us, highest).0);
+    let lightest = (max * u64::from(period_us)).div_ceil(1_000_000).max(1);
     if u64::from(settings.mass.0) < lightest {
         return Err(refuse(ForceParameter::MassTooSmall, lightest));
     }
@@ -393,12 +393,12 @@ impl AdmittanceAxis {
         self.stop_at(self.before)
     }
 
-    /// Clamps the displacement to `most`, at rate 0.
-    pub fn clamp_displacement(&mut self, most: Displacement) -> Compliance {
+    /// Clamps the displacement to `max`, at rate 0.
+    pub fn clamp_displacement(&mut self, max: Displacement) -> Compliance {
         let outward = if self.upward {
-            most.0
+            max.0
         } else {
-            most.0.saturating_neg()
+            max.0.saturating_neg()
         };
         self.stop_at(outward.clamp(0, self.away))
     }
@@ -436,20 +436,20 @@ impl AdmittanceAxis {
             return self.compliance(false);
         };
         let (step, rate) = pole.step(drive, self.rate);
-        let mut most = law.rate_limit;
-        if self.rate > most || self.rate < -most {
+        let mut max = law.rate_limit;
+        if self.rate > max || self.rate < -max {
             // A lowered rate limit takes effect within some hundred control periods, without a jump
             // of the rate.
             let fast = self.rate.abs();
-            most = most.max(fast.wrapping_sub(fast >> 8));
+            max = max.max(fast.wrapping_sub(fast >> 8));
         }
-        let (mut step, mut rate) = (step.min(most), rate.min(most));
+        let (mut step, mut rate) = (step.min(max), rate.min(max));
         if step < 0 || rate < 0 {
             // The return is limited to 1/64 of the remaining displacement: 2^40 units in the finest
             // scale are below 2^58.
             let landing = (self.away >> 6)
                 .wrapping_shl(FINENESS)
-                .min(most)
+                .min(max)
                 .wrapping_neg();
             (step, rate) = (step.max(landing), rate.max(landing));
         }
@@ -497,8 +497,8 @@ impl AdmittanceAxis {
         if self.resting {
             return (0, law.highest);
         }
-        let least = drive.signum().wrapping_mul(creeping);
-        (if error < creeping { least } else { drive }, level)
+        let min = drive.signum().wrapping_mul(creeping);
+        (if error < creeping { min } else { drive }, level)
     }
 
     /// Driving force outward, 2^-16 N, within +-2^27.
@@ -525,8 +525,8 @@ impl AdmittanceAxis {
             let added = law.added.get(level).copied().unwrap_or(0);
             let resisted = multiply_shift(-commanded_rate, added, 20);
             let setpoint = i64::from(setpoint);
-            let most = if push.touching { 1 << 28 } else { setpoint };
-            drive = drive.wrapping_add(resisted.min(most).max(-setpoint) as i32);
+            let max = if push.touching { 1 << 28 } else { setpoint };
+            drive = drive.wrapping_add(resisted.min(max).max(-setpoint) as i32);
         }
         let open = match law.settings.enable_condition {
             EnableCondition::AgainstMotion => commanded_rate < 0,
@@ -537,8 +537,8 @@ impl AdmittanceAxis {
         // From displacement 0 only a force above f_d moves the tool, not the damping against the
         // commanded motion.
         let open = open && (self.away > 0 || outward(force) > setpoint);
-        let most = if open { Force::MOST.0 } else { 0 };
-        drive.min(most).max(-Force::MOST.0)
+        let max = if open { Force::MAX.0 } else { 0 };
+        drive.min(max).max(-Force::MAX.0)
     }
 
     #[inline]

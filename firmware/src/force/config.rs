@@ -30,7 +30,7 @@ impl LoopSettings {
     /// A force setpoint of 0 makes the tool follow noise and never return (its return rate is f_d /
     /// K_V): callers must disable the axis instead. A negative one has no meaning, since the sign
     /// is that of the contact. Below 40 codes, drift and noise move the tool.
-    pub const LEAST_SETPOINT: Force = Force::millinewtons(500);
+    pub const MIN_SETPOINT: Force = Force::millinewtons(500);
 }
 
 impl From<&ForceLoop> for LoopSettings {

@@ -405,10 +405,10 @@ impl ForceControl {
         &self.compliance
     }
 
-    /// Clamps the displacement of one axis to `most`.
-    pub fn clamp_displacement(&mut self, component: usize, most: Displacement) {
+    /// Clamps the displacement of one axis to `max`.
+    pub fn clamp_displacement(&mut self, component: usize, max: Displacement) {
         if let Some(axis) = self.axes.get_mut(component) {
-            self.compliance[component] = axis.compliance.clamp_displacement(most);
+            self.compliance[component] = axis.compliance.clamp_displacement(max);
         }
     }
 

@@ -51,7 +51,7 @@ pub use crate::io::{COMPONENTS, ForceSample};
 pub use haptimill_protocol::force::{ForceProblem, TareRefusal};
 
 /// Largest code of a 14-bit converter.
-pub const CODE_MOST: i16 = 8191;
+pub const CODE_MAX: i16 = 8191;
 
 /// Consecutive samples beyond saturation that are an overload.
 const OVERLOAD_SAMPLES: u8 = 3;
@@ -98,15 +98,15 @@ impl ForceSensor {
             channel.per_code != 0
                 && channel.per_code.unsigned_abs() <= 1 << 31
                 && channel.per_code != i32::MIN
-                && (64..=CODE_MOST).contains(&channel.saturation)
+                && (64..=CODE_MAX).contains(&channel.saturation)
         }) && self.silent_samples >= 1
             && self.drift.0 > 0
             && self.limit.0 > 0
-            && self.limit <= Force::MOST
+            && self.limit <= Force::MAX
             && (16..=32_768).contains(&self.tare_samples)
             && self.tare_spread >= 1
             && self.weight.0 >= 0
-            && self.weight <= Force::MOST
+            && self.weight <= Force::MAX
     }
 
     /// Largest force that a channel can measure.
@@ -194,7 +194,7 @@ impl Conditioner {
         &self.sensor
     }
 
-    /// Force on the tool, clamped to [`Force::MOST`].
+    /// Force on the tool, clamped to [`Force::MAX`].
     #[must_use]
     pub const fn forces(&self) -> &[Force; COMPONENTS] {
         &self.forces
@@ -299,7 +299,7 @@ impl Conditioner {
             component: COMPONENTS as u8,
         });
         for component in 0..COMPONENTS {
-            let code = sample.codes[component].clamp(-CODE_MOST - 1, CODE_MOST);
+            let code = sample.codes[component].clamp(-CODE_MAX - 1, CODE_MAX);
             let problem = self.check_component(component, code, unloaded);
             // An excessive force stops the machine even without force control, so it has priority.
             let graver =
@@ -373,7 +373,7 @@ impl Conditioner {
             return;
         };
         for (component, code) in codes.iter().enumerate() {
-            let code = (*code).clamp(-CODE_MOST - 1, CODE_MOST);
+            let code = (*code).clamp(-CODE_MAX - 1, CODE_MAX);
             // At most 32768 samples of 2^13: 2^28.
             tare.sums[component] += i32::from(code);
             tare.lows[component] = tare.lows[component].min(code);

@@ -266,11 +266,11 @@ impl StabilityMonitor {
             return false;
         }
         // covariance^2 >= variance * variance / 2, with 31 bits of each.
-        let most = self
+        let max = self
             .position_variance
             .max(self.force_variance)
             .max(self.covariance.abs());
-        let shift = 33u32.saturating_sub(most.leading_zeros());
+        let shift = 33u32.saturating_sub(max.leading_zeros());
         let (position, force) = (
             self.position_variance >> shift,
             self.force_variance >> shift,

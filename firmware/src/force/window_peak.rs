@@ -25,7 +25,7 @@ use haptimill_math::force::Force;
 pub const LEAVES: usize = 128;
 
 /// Largest number of samples in a group: the longest window is 2048 samples, 0.41 s at 200 us.
-const GROUP_MOST: u32 = 16;
+const GROUP_MAX: u32 = 16;
 
 /// Highest and lowest force of an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -108,7 +108,7 @@ impl Window {
     /// 2048.
     #[must_use]
     pub const fn of(samples: u32) -> Option<Self> {
-        if samples == 0 || samples > GROUP_MOST * LEAVES as u32 {
+        if samples == 0 || samples > GROUP_MAX * LEAVES as u32 {
             return None;
         }
         let mut group = samples.div_ceil(LEAVES as u32);
@@ -143,7 +143,7 @@ impl Window {
 
     /// Smallest number of samples covered, when the newest group has one sample.
     #[must_use]
-    pub const fn least_samples(self) -> u32 {
+    pub const fn min_samples(self) -> u32 {
         (self.leaves as u32 - 1) * self.group as u32 + 1
     }
 }

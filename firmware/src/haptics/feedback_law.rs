@@ -17,14 +17,14 @@ use haptimill_math::force::Force;
 use haptimill_math::scale::saturate;
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, ForceFeedbackAxis};
 
-/// Ramp time of settings for a change over their whole range (100 %, [`MOST`]), microseconds.
+/// Ramp time of settings for a change over their whole range (100 %, [`MAX`]), microseconds.
 const RAMP_US: i64 = 1_000_000;
 
 /// Largest limit of an axis: 10 N.
-pub const MOST: Force = Force(10 << 16);
+pub const MAX: Force = Force(10 << 16);
 
 /// Maximum velocity-proportional damping: 1 N for each mm/s, in 2^-16 N s/mm.
-pub const DAMPING_MOST: u16 = u16::MAX;
+pub const DAMPING_MAX: u16 = u16::MAX;
 
 /// Force range over which the damping term fades out: 0.5 N, a power of two in its unit.
 const FADE_SHIFT: u32 = 15;
@@ -34,7 +34,7 @@ const FADE_SHIFT: u32 = 15;
 pub struct FeedbackLaw {
     /// Percentages, 2^-24 of one, and limits, 2^-24 N.
     percent: [i32; COMPONENTS],
-    most: [i32; COMPONENTS],
+    max: [i32; COMPONENTS],
     /// Velocity-proportional damping, 2^-24 N s/mm, and the force below which it acts.
     damping: i32,
     below: i32,
@@ -49,8 +49,8 @@ pub struct FeedbackLaw {
 /// 10 N.
 #[must_use]
 pub fn is_sound(feedback: &ForceFeedback) -> bool {
-    let axis = |axis: &ForceFeedbackAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.limit);
-    feedback.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&feedback.damping_below)
+    let axis = |axis: &ForceFeedbackAxis| axis.percent <= 100 && (0..=MAX.0).contains(&axis.limit);
+    feedback.axes.iter().all(axis) && (1 << FADE_SHIFT..=MAX.0).contains(&feedback.damping_below)
 }
 
 /// Moves `value` towards `commanded` by at most `step`.
@@ -60,8 +60,8 @@ fn approach(value: &mut i32, commanded: i32, step: i32) {
 
 /// Clamps a force to a limit on either side.
 #[inline(always)]
-fn within(force: i32, most: i32) -> Force {
-    Force(force.max(-most).min(most))
+fn within(force: i32, max: i32) -> Force {
+    Force(force.max(-max).min(max))
 }
 
 impl FeedbackLaw {
@@ -93,7 +93,7 @@ impl FeedbackLaw {
     /// Ramps the settings; called once per control period until they reach their targets.
     #[inline(never)]
     fn approach(&mut self, step: i32) {
-        let before = (self.percent, self.most, self.damping, self.below);
+        let before = (self.percent, self.max, self.damping, self.below);
         for (axis, commanded) in self.commanded.axes.iter().enumerate() {
             // 2^24 / 100, to nearest.
             approach(
@@ -102,7 +102,7 @@ impl FeedbackLaw {
                 step,
             );
             approach(
-                &mut self.most[axis],
+                &mut self.max[axis],
                 commanded.limit << 8,
                 step.saturating_mul(10),
             );
@@ -118,13 +118,13 @@ impl FeedbackLaw {
             step.saturating_mul(10),
         );
         // Settings that do not change have reached their targets.
-        self.arrived = before == (self.percent, self.most, self.damping, self.below);
+        self.arrived = before == (self.percent, self.max, self.damping, self.below);
     }
 
     /// The present limit of an axis.
     #[must_use]
-    pub fn most(&self, axis: usize) -> Force {
-        Force(self.most.get(axis).map_or(0, |most| most >> 8))
+    pub fn limit(&self, axis: usize) -> Force {
+        Force(self.max.get(axis).map_or(0, |max| max >> 8))
     }
 
     /// Computes the force feedback of a control period from the force on the tool and the rates of
@@ -147,7 +147,7 @@ impl FeedbackLaw {
         let damped = if self.damping == 0 { 0 } else { self.below };
         core::array::from_fn(|axis| {
             let share = (i64::from(forces[axis].0) * i64::from(self.percent[axis])) >> 24;
-            within(saturate(share), self.most[axis].max(damped) >> 8)
+            within(saturate(share), self.max[axis].max(damped) >> 8)
         })
     }
 
@@ -160,10 +160,10 @@ impl FeedbackLaw {
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
             let share = shares[axis].0;
-            let most = self.most[axis] >> 8;
+            let max = self.max[axis] >> 8;
             // An axis without force feedback has no damping term.
             if self.damping == 0 || self.percent[axis] == 0 {
-                return within(share, most);
+                return within(share, max);
             }
             // 1 below the threshold minus the fade range, 0 above the threshold, in 2^-15.
             let under = (self.below >> 8).saturating_sub(share.saturating_abs());
@@ -172,7 +172,7 @@ impl FeedbackLaw {
             // 2^27, before and after the fade.
             let against = ((i64::from(rates[axis].0) * i64::from(self.damping)) >> 28) as i32;
             let damping = ((i64::from(against) * i64::from(fade)) >> FADE_SHIFT) as i32;
-            within(share.saturating_sub(damping), most)
+            within(share.saturating_sub(damping), max)
         })
     }
 
@@ -182,11 +182,11 @@ impl FeedbackLaw {
     /// limit available, and along it the limit itself opposes the motion.
     #[must_use]
     pub fn combine(&self, axis: usize, feedback: Force, damping: Force, fixture: Force) -> Force {
-        let most = i64::from(self.most(axis).0);
+        let max = i64::from(self.limit(axis).0);
         let fixture = i64::from(fixture.0);
         let all = i64::from(feedback.0) + i64::from(damping.0) + fixture;
         Force(saturate(
-            all.clamp(fixture.min(0) - most, fixture.max(0) + most),
+            all.clamp(fixture.min(0) - max, fixture.max(0) + max),
         ))
     }
 }

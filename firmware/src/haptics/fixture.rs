@@ -23,14 +23,14 @@ pub struct FixtureConfig {
     /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: result of E6 in docs/control.md 3.5.)
     pub stiffness: u32,
     /// Largest force of a face: 0.5 to 10 N.
-    pub most: Force,
+    pub max: Force,
 }
 
 impl FixtureConfig {
     /// Whether both values are in range.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        (3276..=2 << 16).contains(&self.stiffness) && (1 << 15..=10 << 16).contains(&self.most.0)
+        (3276..=2 << 16).contains(&self.stiffness) && (1 << 15..=10 << 16).contains(&self.max.0)
     }
 }
 
@@ -52,7 +52,7 @@ struct Face {
 #[derive(Debug, Clone)]
 pub struct VirtualFixtures {
     stiffness: i64,
-    most: i64,
+    max: i64,
     /// Penetration at which the force of a face reaches its limit, 2^-20 mm.
     deep: i64,
     period_us: i64,
@@ -70,8 +70,8 @@ impl VirtualFixtures {
         let stiffness = i64::from(config.stiffness.max(1));
         Self {
             stiffness,
-            most: i64::from(config.most.0),
-            deep: (i64::from(config.most.0) << 20) / stiffness,
+            max: i64::from(config.max.0),
+            deep: (i64::from(config.max.0) << 20) / stiffness,
             period_us: i64::from(period_us),
             room: i64::from(ball.0) << 20,
             faces: [[Face::default(); 2]; COMPONENTS],
@@ -156,7 +156,7 @@ impl VirtualFixtures {
                 // At most 2^20 << 20 before the shift; the stored energy is below 2^20 * 2^33 for
                 // each face.
                 let spring = depth.min(self.deep);
-                let force = (product(spring, self.stiffness) >> 20).min(self.most);
+                let force = (product(spring, self.stiffness) >> 20).min(self.max);
                 self.stored = total(self.stored, product(force, depth - spring / 2));
                 let force = force as i32;
                 forces[axis].0 += if sign < 0 { -force } else { force };

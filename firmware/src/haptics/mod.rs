@@ -71,7 +71,7 @@ const FEEL_US: u32 = 100_000;
 struct LegSensor {
     per_count: i64,
     /// Counts beyond this are out of range.
-    most: u32,
+    max: u32,
     preset: i32,
     low: i32,
     high: i32,
@@ -113,7 +113,7 @@ pub struct Haptic {
     arm: HapticArm,
     sensors: [[LegSensor; 3]; LEGS],
     motors: Motors,
-    illegal_most: u16,
+    illegal_max: u16,
     /// Filter coefficient of the rates per control period, 2^-32.
     smoothing: u32,
     step: i32,
@@ -150,7 +150,7 @@ pub struct Haptic {
     fresh: bool,
 }
 
-impl_digest!(Haptic { fields { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods }, nested {}, skip {
+impl_digest!(Haptic { fields { arm, sensors, motors, illegal_max, smoothing, step, periods_per_second, blend_step, feel_periods }, nested {}, skip {
     law, fixtures, passivity, dampers, shares, operator_power, zero, illegal, pose, tip, moved, rates, enabling_switch, ready, blend, remote, force, feedback, fixture, enabled, problem, latched, fresh
 } });
 
@@ -166,7 +166,7 @@ impl Haptic {
                 let (low, high) = config.ranges[index];
                 LegSensor {
                     per_count: leg[index].per_count,
-                    most: ((1 << 57) / leg[index].per_count.unsigned_abs().max(1)).min(1 << 30)
+                    max: ((1 << 57) / leg[index].per_count.unsigned_abs().max(1)).min(1 << 30)
                         as u32,
                     preset: leg[index].preset.0,
                     low: low.0,
@@ -179,7 +179,7 @@ impl Haptic {
             arm: HapticArm::new(&config.geometry),
             sensors,
             motors: Motors::new(&config.drives, config.condition),
-            illegal_most: config.illegal_transitions,
+            illegal_max: config.illegal_transitions,
             // Below 1: the time constant is at least one control period.
             smoothing: ((u64::from(period) << 32) / (filter + 1)).min(1 << 31) as u32,
             step: config.step.0,
@@ -263,7 +263,7 @@ impl Haptic {
             for (sensor, value) in values.iter_mut().enumerate() {
                 let (at, here) = (index as u8, sensor as u8);
                 let illegal = leg.illegal[sensor].wrapping_sub(self.illegal[index][sensor]);
-                if illegal > self.illegal_most {
+                if illegal > self.illegal_max {
                     return Err(MasterProblem::Illegal {
                         leg: at,
                         sensor: here,
@@ -276,7 +276,7 @@ impl Haptic {
                     sensor: here,
                 };
                 // The largest counts are two turns, or 4 m: below 2^58 with the scale.
-                if counts.unsigned_abs() > encoder.most {
+                if counts.unsigned_abs() > encoder.max {
                     return Err(range);
                 }
                 let by = product(i64::from(counts), encoder.per_count) >> 24;

@@ -116,9 +116,9 @@ impl OscillationDampers {
         core::array::from_fn(|axis| {
             // A master that has stopped is not damped, although its slow part decays later: the
             // damped rate is at most the actual one.
-            let most = rates[axis].0.saturating_abs();
+            let max = rates[axis].0.saturating_abs();
             let oscillation = self.rates[axis].of(rates[axis].0, self.shift);
-            let rate = Rate(oscillation.clamp(-most, most));
+            let rate = Rate(oscillation.clamp(-max, max));
             let driven = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
             self.observer.damp_by(driven - damped[axis], rate)
         })
@@ -213,7 +213,7 @@ mod tests {
         let damped = |amplitude: f64, late: f64| {
             let mut dampers = OscillationDampers::new(&CONFIG, 200);
             let mut operator_power = OperatorPower::new(200);
-            let mut most = 0;
+            let mut max = 0;
             for period in 0..15_000_u32 {
                 let time = f64::from(period) * 200e-6;
                 // 6 mm/s against 3 N, and an oscillation of 8 Hz.
@@ -230,14 +230,14 @@ mod tests {
                 let rates = [Rate(of(rate, 1_048_576.0)), Rate(0), Rate(0)];
                 let got = dampers.damp(&rates, &idle, &[0; COMPONENTS]);
                 if period > 10_000 {
-                    most = most.max(got[0].0.abs());
+                    max = max.max(got[0].0.abs());
                     assert!(
                         idle[0] < 8 && idle[1..] == [WHOLE; 2],
                         "the operator drives x"
                     );
                 }
             }
-            f64::from(most) / 65_536.0
+            f64::from(max) / 65_536.0
         };
         assert!(damped(0.0, 0.0) < 0.01, "{}", damped(0.0, 0.0));
         // A force in phase takes energy from the oscillation.

@@ -70,7 +70,7 @@ pub const WHOLE: i32 = 1 << 16;
 pub struct Passivity {
     cap: i64,
     /// Lowest energy: the largest deficit.
-    least: i64,
+    min: i64,
     /// 2^58 divided by the full deficit.
     per_debt: i64,
     /// At most 2^15.
@@ -89,7 +89,7 @@ impl Passivity {
         let deficit = (i64::from(config.deficit) << 20).clamp(1 << 29, 100 << 36);
         Self {
             cap: i64::from(config.surplus) << 20,
-            least: -i64::from(COUNTED) * deficit,
+            min: -i64::from(COUNTED) * deficit,
             per_debt: (1 << 58) / deficit,
             damping: config.damping.min(1 << 15),
             leak: ((i64::from(period_us) << 32) / i64::from(leak_us.max(1))).min(1 << 26),
@@ -120,7 +120,7 @@ impl Passivity {
         // A work is at most 2^46, deficit and cap are below 2^45, and the fixtures store less than
         // 2^56.
         let energy = difference(self.energy, total(total(x, y), z));
-        let energy = energy.max(self.least).min(total(self.cap, stored));
+        let energy = energy.max(self.min).min(total(self.cap, stored));
         // A deficit shifted by 8 bits is below 2^37.
         self.energy = match energy {
             0.. => energy,

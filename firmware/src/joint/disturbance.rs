@@ -55,8 +55,8 @@ pub struct Disturbance {
     /// [`SIDE_CHANGE_US`] in control periods.
     side_change_periods: u32,
     limit: i64,
-    least_friction: i64,
-    most_friction: i64,
+    min_friction: i64,
+    max_friction: i64,
     integral: i64,
     friction: i64,
     /// Dead band of the present rest, the sign of the last error beyond it, and the control periods
@@ -66,7 +66,7 @@ pub struct Disturbance {
     since: u32,
 }
 
-impl_digest!(Disturbance { fields { gain, drain, dead_band, side_change_periods, limit, least_friction, most_friction }, nested {}, skip { integral, friction, band, side, since } });
+impl_digest!(Disturbance { fields { gain, drain, dead_band, side_change_periods, limit, min_friction, max_friction }, nested {}, skip { integral, friction, band, side, since } });
 
 impl Disturbance {
     /// A disturbance with the change of the integrator in a period for an error of one axis unit
@@ -93,8 +93,8 @@ impl Disturbance {
             dead_band: count.saturating_add(count / 2),
             side_change_periods: SIDE_CHANGE_US / if period_us == 0 { 1 } else { period_us as u32 },
             limit: (limits.integral as i64) << FRACTION,
-            least_friction: -((limits.coulomb as i64) << FRACTION),
-            most_friction: ((limits.integral / 2) as i64) << FRACTION,
+            min_friction: -((limits.coulomb as i64) << FRACTION),
+            max_friction: ((limits.integral / 2) as i64) << FRACTION,
             integral: 0,
             friction: 0,
             band: count.saturating_add(count / 2),
@@ -170,8 +170,8 @@ impl Disturbance {
         let part = product >> (31 - FRACTION);
         let along = if rate.0 < 0 { -part } else { part };
         let friction = (self.friction + along)
-            .max(self.least_friction)
-            .min(self.most_friction);
+            .max(self.min_friction)
+            .min(self.max_friction);
         let moved = friction - self.friction;
         self.friction = friction;
         self.integral -= if rate.0 < 0 { -moved } else { moved };

@@ -25,7 +25,7 @@ pub struct Encoder {
     part: i32,
     /// Largest magnitude of a count whose product fits into 32 bits; on an axis of one turn the
     /// product may wrap around.
-    most: u32,
+    max: u32,
     /// No inputs were read yet.
     fresh: bool,
     raw: i32,
@@ -39,7 +39,7 @@ pub struct Encoder {
 }
 
 impl_digest!(Encoder { fields {
-    kind, per_count, whole, part, most
+    kind, per_count, whole, part, max
 }, nested { edges }, skip {
     fresh, raw, travelled, reference, illegal_raw, illegal, index_pulses
 } });
@@ -61,13 +61,13 @@ impl Encoder {
     pub const fn new(kind: AxisKind, per_count: i64) -> Self {
         let whole = per_count >> 24;
         let fits = whole as i32 as i64 == whole;
-        let most = match (kind, fits) {
+        let max = match (kind, fits) {
             (_, false) => 0,
             (AxisKind::Rotary, true) => 1 << 31,
             // One unit of room for the rounding.
             (AxisKind::Linear | AxisKind::MultiTurn, true) => {
                 match (((1_u64 << 31) - 2) << 24).checked_div(per_count.unsigned_abs()) {
-                    Some(most) if most < 1 << 31 => most as u32,
+                    Some(max) if max < 1 << 31 => max as u32,
                     _ => 1 << 31,
                 }
             }
@@ -77,7 +77,7 @@ impl Encoder {
             per_count,
             whole: whole as i32,
             part: (per_count & 0xff_ffff) as i32,
-            most,
+            max,
             fresh: true,
             raw: 0,
             travelled: 0,
@@ -188,7 +188,7 @@ impl Encoder {
     fn coordinate_of(&self, counts: i64) -> Coordinate {
         let word = counts as i32;
         // 32-bit operands: with 64-bit ones the product would be 64 by 64 bits.
-        if (counts >> 32) as i32 != word >> 31 || word.unsigned_abs() > self.most {
+        if (counts >> 32) as i32 != word >> 31 || word.unsigned_abs() > self.max {
             return self.coordinate_wide(counts);
         }
         // A 32-bit number times 24 bits.

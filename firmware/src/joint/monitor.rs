@@ -222,9 +222,9 @@ impl JointMonitor {
         let acceleration =
             (magnitude(Coordinate(limit.0)) << 28) / i64::from(config.law.inertia.max(1));
         let period = i64::from(period_us.min(1000));
-        let most = acceleration.min(1 << 40) * period * period / 1_000_000_000_000 * IMPACT;
+        let max = acceleration.min(1 << 40) * period * period / 1_000_000_000_000 * IMPACT;
         let counts = i64::from(count(encoder));
-        i64::from(change) * counts > most + 2 * counts
+        i64::from(change) * counts > max + 2 * counts
     }
 
     /// Lost steps.
@@ -273,10 +273,10 @@ impl JointMonitor {
         encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
-        let Drive::Torque { limit: most, .. } = config.drive else {
+        let Drive::Torque { limit: max, .. } = config.drive else {
             return None;
         };
-        if sample.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
+        if sample.effort.0.unsigned_abs() < max.0.unsigned_abs() / 8 {
             // The usual case.
             self.runaway_periods = 0;
             return None;
@@ -381,13 +381,13 @@ impl JointMonitor {
         encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
-        let Drive::Torque { limit: most, .. } = config.drive else {
+        let Drive::Torque { limit: max, .. } = config.drive else {
             return None;
         };
         let direction = direction_of(sample.commanded_rate.0);
         let effort = sample.effort.0.saturating_sub(sample.crossing.0);
         let along = effort.saturating_mul(direction);
-        let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
+        let holds = friction(config, max.0.unsigned_abs()).min(1 << 28) as i32;
         let needed = self.last_count.map_or(0, |last_count| last_count.needed);
         let begun = LastCount {
             measured: sample.measured,
@@ -511,9 +511,9 @@ fn stuck_distance(encoder: &EncoderSettings) -> u32 {
 }
 
 /// Effort that friction may take: the compensated friction, and at least a 32nd of the drive's
-/// limit `most`.
-fn friction(config: &JointSettings, most: u32) -> u32 {
-    config.law.coulomb.0.unsigned_abs().max(most / 32)
+/// limit `max`.
+fn friction(config: &JointSettings, max: u32) -> u32 {
+    config.law.coulomb.0.unsigned_abs().max(max / 32)
 }
 
 /// Distance from `b` to `a`, in the shorter direction on a joint of one turn, axis units.

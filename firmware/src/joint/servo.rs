@@ -100,11 +100,11 @@ impl ServoLaw {
             ),
         };
         let coulomb = ((law.coulomb.0 as i64) << fraction) >> lift;
-        let most_coulomb = 1 << 30;
-        let coulomb = if coulomb > most_coulomb {
-            most_coulomb
-        } else if coulomb < -most_coulomb {
-            -most_coulomb
+        let max_coulomb = 1 << 30;
+        let coulomb = if coulomb > max_coulomb {
+            max_coulomb
+        } else if coulomb < -max_coulomb {
+            -max_coulomb
         } else {
             coulomb
         };

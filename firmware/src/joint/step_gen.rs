@@ -276,7 +276,7 @@ impl StepPlanner {
         }
         let spread = Spread {
             duration: (last - delay) as i32,
-            most: (latest - delay) as i32,
+            max: (latest - delay) as i32,
             intervals: intervals as i32,
             gap: gap as i32,
         };
@@ -296,7 +296,7 @@ struct Spread {
     /// Ideal time from the first to the last pulse.
     duration: i32,
     /// Upper limit of that time.
-    most: i32,
+    max: i32,
     intervals: i32,
     /// The shortest interval.
     gap: i32,
@@ -315,13 +315,13 @@ impl Spread {
             for rounding in [n / 2, 0] {
                 let interval = (self.duration - bent + rounding).div_euclid(n);
                 let shortest = interval + ramp.min(0) * (n - 1);
-                if shortest >= self.gap && n * interval + bent <= self.most {
+                if shortest >= self.gap && n * interval + bent <= self.max {
                     return (interval.unsigned_abs(), ramp);
                 }
             }
         }
         let rounded = (self.duration + n / 2) / n;
-        let even = if n * rounded <= self.most {
+        let even = if n * rounded <= self.max {
             rounded
         } else {
             self.duration / n
@@ -382,8 +382,8 @@ impl Ideal {
         // Shifted to below 2^32.
         let scaled = (distance >> shift) as u32;
         let reciprocal = Reciprocal::new(scaled);
-        let most = (i64::from(scaled) * 3) / 4;
-        let bend = (bend >> shift).max(-most).min(most);
+        let max = (i64::from(scaled) * 3) / 4;
+        let bend = (bend >> shift).max(-max).min(max);
         let bend = if scaled == 0 {
             0
         } else {

@@ -107,9 +107,9 @@ impl Machine {
         for second in seconds(&self.config) {
             let offset = &mut self.gantries.offsets[second.joint];
             let rate = second.axis.home.switch().map_or(0, |it| it.touch_rate.0);
-            let most = (i64::from(rate) * period / 1_000_000).max(1);
+            let max = (i64::from(rate) * period / 1_000_000).max(1);
             let closes = if known {
-                -i64::from(offset.0).clamp(-most, most)
+                -i64::from(offset.0).clamp(-max, max)
             } else {
                 0
             };

@@ -154,9 +154,9 @@ impl Machine {
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
             let middle = 3_000_000 * i64::from(distance.0) - both * time;
             let limit = limit(joint.rate, speed_factor);
-            let most = allowed(limit);
-            let too_fast = i64::from(after).abs() > most;
-            let too_fast_between = node.alone && last.alone && middle.abs() > most * time;
+            let max = allowed(limit);
+            let too_fast = i64::from(after).abs() > max;
+            let too_fast_between = node.alone && last.alone && middle.abs() > max * time;
             if too_fast || too_fast_between {
                 let rate = if too_fast {
                     i64::from(after)

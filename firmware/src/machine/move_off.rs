@@ -229,8 +229,8 @@ impl Machine {
             } else {
                 at - i64::from(axis.high.0)
             };
-        let most = i64::from(move_off.motion.travel.0) * 2;
-        if move_off.is_extended || beyond <= 0 || beyond > most {
+        let max = i64::from(move_off.motion.travel.0) * 2;
+        if move_off.is_extended || beyond <= 0 || beyond > max {
             return false;
         }
         move_off.is_extended = true;

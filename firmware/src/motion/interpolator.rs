@@ -284,8 +284,8 @@ impl Interpolator {
                 // The highest speed factor possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
                 let value = self.speed_factor.value();
-                let most = FULL_FACTOR.max(value).max(self.override_factor);
-                let highest = (value + slope).clamp(0, most);
+                let max = FULL_FACTOR.max(value).max(self.override_factor);
+                let highest = (value + slope).clamp(0, max);
                 self.time + highest as u64 >= end
             })
     }

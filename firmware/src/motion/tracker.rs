@@ -214,15 +214,15 @@ impl Tracker {
             next.place,
             next.place.saturating_add(next.stopping(limits)),
         ];
-        let least = ends.iter().fold(i64::MAX, |least, end| least.min(*end));
-        let most = ends.iter().fold(i64::MIN, |most, end| most.max(*end));
+        let min = ends.iter().fold(i64::MAX, |min, end| min.min(*end));
+        let max = ends.iter().fold(i64::MIN, |max, end| max.max(*end));
         if target.is_some() && utilisation > SLOWED_UTILISATION {
             next = *self;
             next.advance_under(target, utilisation, limits);
         }
         TrackerEnvelope {
-            low: least >> FRACTION,
-            high: (most >> FRACTION) + 1,
+            low: min >> FRACTION,
+            high: (max >> FRACTION) + 1,
             rate: limits.per_second(self.rate.abs().max(next.rate.abs())) + 1,
         }
     }
@@ -238,8 +238,8 @@ impl Tracker {
     ) {
         let slowed = |commanded: i64, rate: i64| {
             // The margin lets a coordinate start from standstill while others move.
-            let most = slower(rate.abs(), utilisation) + limits.step / 16;
-            commanded.clamp(-most, most)
+            let max = slower(rate.abs(), utilisation) + limits.step / 16;
+            commanded.clamp(-max, max)
         };
         self.go(target, limits, |commanded, rate| {
             if utilisation > SLOWED_UTILISATION {

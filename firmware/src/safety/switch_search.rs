@@ -235,7 +235,7 @@ impl SwitchSearch {
                 self.phase = SearchPhase::Retreat;
                 -towards * slow
             }
-            SearchPhase::Index if inputs.index_travel.is_some_and(|most| gone > most) => {
+            SearchPhase::Index if inputs.index_travel.is_some_and(|max| gone > max) => {
                 return Err(HomingProblem::NoIndex);
             }
             SearchPhase::Index => -towards * slow,
@@ -284,8 +284,8 @@ impl SwitchSearch {
     fn drive(&mut self, requested: i64, config: &SwitchHome, period_us: u16) {
         let period = i64::from(period_us);
         // The unit of an acceleration is 2^8 axis units per second squared.
-        let most = (i64::from(config.acceleration.0) * 256 * period / 1_000_000).max(1);
-        self.change = (requested - self.rate).clamp(-most, most);
+        let max = (i64::from(config.acceleration.0) * 256 * period / 1_000_000).max(1);
+        self.change = (requested - self.rate).clamp(-max, max);
         let before = self.rate;
         self.rate += self.change;
         self.part += (before + self.rate) * period;

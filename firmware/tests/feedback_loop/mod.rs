@@ -87,8 +87,8 @@ fn check(
         assert!(out.runs, "the mill stopped: {case_text}");
         // The oscillation decays, or is below the threshold of perception, or is one that returned
         // after the leak of the energy deficit, no larger than `returned`.
-        let most = (1.1 * out.early + 0.05).max(returned);
-        assert!(out.late <= most, "the oscillation grows: {case_text}");
+        let max = (1.1 * out.early + 0.05).max(returned);
+        assert!(out.late <= max, "the oscillation grows: {case_text}");
         // A soft grip oscillates slowly by less than 2.5 mm, a firm one by less than 1.4 mm.
         assert!(
             out.late < if case.grip < 0.2 { 2.5 } else { 1.4 },
@@ -101,7 +101,7 @@ fn check(
             // A delay of 50 ms costs accuracy. The bound is the measured one.
             assert!((0.85..=1.15).contains(&ratio), "{ratio:.3}: {case_text}");
         }
-        assert!(out.most <= 3.2, "beyond the limit: {case_text}");
+        assert!(out.max <= 3.2, "beyond the limit: {case_text}");
         assert!(out.step <= 0.050_001, "beyond the step: {case_text}");
     }
 }

@@ -72,7 +72,7 @@ pub struct CaseResult {
     pub force: f64,
     pub law: f64,
     /// Largest force at the hand, and its largest change in a period, N.
-    pub most: f64,
+    pub max: f64,
     pub step: f64,
     /// The mill is still running.
     pub runs: bool,
@@ -222,7 +222,7 @@ pub fn run(case: &Case) -> CaseResult {
         positions.push(x);
         let before = forces.last().copied().unwrap_or_default();
         outcome.step = outcome.step.max(f64::abs(hand_force - before));
-        outcome.most = outcome.most.max(hand_force.abs());
+        outcome.max = outcome.max.max(hand_force.abs());
         outcome.peak = outcome.peak.max(force);
         forces.push(hand_force);
         if period >= late {

@@ -97,7 +97,7 @@ impl Path {
         let peak = |values: &[f64]| {
             values
                 .iter()
-                .fold(0.0_f64, |most, value| most.max(value.abs()))
+                .fold(0.0_f64, |max, value| max.max(value.abs()))
         };
         (peak(&acceleration), peak(&jerk))
     }

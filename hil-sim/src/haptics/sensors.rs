@@ -52,12 +52,12 @@ impl Default for HapticEncoders {
 
 impl HapticEncoders {
     pub(super) fn check(&self, check: &mut Check) {
-        for (name, value, least) in [
+        for (name, value, min) in [
             ("slide_counts_per_mm", self.slide_counts_per_mm, 0.1),
             ("turn_counts_per_turn", self.turn_counts_per_turn, 100.0),
             ("hinge_counts_per_turn", self.hinge_counts_per_turn, 100.0),
         ] {
-            check.within(format!("haptic: encoders: {name}"), value, least, 1e8);
+            check.within(format!("haptic: encoders: {name}"), value, min, 1e8);
         }
     }
 }

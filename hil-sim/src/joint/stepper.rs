@@ -236,7 +236,7 @@ impl Stepper {
             self.report.shortest_interval = Some(
                 self.report
                     .shortest_interval
-                    .map_or(interval, |least| least.min(interval)),
+                    .map_or(interval, |min| min.min(interval)),
             );
         }
         if self.width_ticks < self.min_width_ticks {

@@ -141,7 +141,7 @@ impl Geometry for Facet {
                     .into(),
             );
         }
-        for (name, value, most) in [
+        for (name, value, max) in [
             ("l2", config.l2, 2000.0),
             ("l3", config.l3, 1000.0),
             ("l4", config.l4, 1000.0),
@@ -150,7 +150,7 @@ impl Geometry for Facet {
             ("lap_about_x_deg", config.lap_about_x_deg, 1.0),
             ("lap_about_y_deg", config.lap_about_y_deg, 1.0),
         ] {
-            check.within(format!("geometry: facet: {name}"), value, -most, most);
+            check.within(format!("geometry: facet: {name}"), value, -max, max);
         }
         if config.lap_dir.abs() != 1.0 {
             let what = format!("{} is neither 1 nor -1; write one of them", config.lap_dir);

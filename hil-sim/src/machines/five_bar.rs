@@ -121,7 +121,7 @@ impl Geometry for FiveBar {
         let [proximal_left, proximal_right] = config.proximal;
         let [distal_left, distal_right] = config.distal;
         let [zero_left, zero_right] = config.zero_deg;
-        for (name, value, least, most) in [
+        for (name, value, min, max) in [
             ("base", config.base, 0.0, 2000.0),
             ("proximal", proximal_left, 1.0, 2000.0),
             ("proximal", proximal_right, 1.0, 2000.0),
@@ -134,7 +134,7 @@ impl Geometry for FiveBar {
             ("column_about_x_deg", config.column_about_x_deg, -5.0, 5.0),
             ("column_about_y_deg", config.column_about_y_deg, -5.0, 5.0),
         ] {
-            check.within(format!("geometry: five_bar: {name}"), value, least, most);
+            check.within(format!("geometry: five_bar: {name}"), value, min, max);
         }
     }
 

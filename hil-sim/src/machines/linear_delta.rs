@@ -87,14 +87,9 @@ impl Geometry for LinearDelta {
                 "needs the linear joints s1, s2 and s3".into(),
             );
         }
-        let all = |name: &str, values: [f64; 3], least: f64, most: f64, check: &mut Check| {
+        let all = |name: &str, values: [f64; 3], min: f64, max: f64, check: &mut Check| {
             for value in values {
-                check.within(
-                    format!("geometry: linear_delta: {name}"),
-                    value,
-                    least,
-                    most,
-                );
+                check.within(format!("geometry: linear_delta: {name}"), value, min, max);
             }
         };
         all("rods", config.rods, 1.0, 2000.0, check);

@@ -78,14 +78,14 @@ impl Geometry for PolarMill {
                 "needs the linear joint r, the rotary one theta and then the linear one z".into(),
             );
         }
-        for (name, value, most) in [
+        for (name, value, max) in [
             ("x_off", config.x_off, 2000.0),
             ("y_off", config.y_off, 2000.0),
             ("r_zero", config.r_zero, 10.0),
             ("across", config.across, 10.0),
             ("theta_zero_deg", config.theta_zero_deg, 5.0),
         ] {
-            check.within(format!("geometry: polar_mill: {name}"), value, -most, most);
+            check.within(format!("geometry: polar_mill: {name}"), value, -max, max);
         }
     }
 

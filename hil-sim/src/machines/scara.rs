@@ -83,7 +83,7 @@ impl Geometry for Scara {
                 "needs the rotary joints theta1 and theta2 and then the linear one z".into(),
             );
         }
-        for (name, value, least, most) in [
+        for (name, value, min, max) in [
             ("upper", config.upper, 1.0, 2000.0),
             ("fore", config.fore, 1.0, 2000.0),
             ("x_off", config.x_off, -2000.0, 2000.0),
@@ -93,7 +93,7 @@ impl Geometry for Scara {
             ("column_about_x_deg", config.column_about_x_deg, -5.0, 5.0),
             ("column_about_y_deg", config.column_about_y_deg, -5.0, 5.0),
         ] {
-            check.within(format!("geometry: scara: {name}"), value, least, most);
+            check.within(format!("geometry: scara: {name}"), value, min, max);
         }
     }
 

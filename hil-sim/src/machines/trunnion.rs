@@ -188,7 +188,7 @@ impl Geometry for Trunnion {
                 "needs three linear joints x, y, z and then the rotary ones a and c".into(),
             );
         }
-        for (name, value, most) in [
+        for (name, value, max) in [
             ("tilt_y", config.tilt_y, 2000.0),
             ("tilt_z", config.tilt_z, 2000.0),
             ("table_x", config.table_x, 2000.0),
@@ -205,7 +205,7 @@ impl Geometry for Trunnion {
             ("squareness_xz", config.squareness_xz, 0.1),
             ("squareness_yz", config.squareness_yz, 0.1),
         ] {
-            check.within(format!("geometry: trunnion: {name}"), value, -most, most);
+            check.within(format!("geometry: trunnion: {name}"), value, -max, max);
         }
     }
 

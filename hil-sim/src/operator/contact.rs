@@ -163,12 +163,12 @@ impl ReferencePart {
             check.within(field(&format!("centre_mm {axis}")), value, -500.0, 500.0);
         }
         check.within(field("ball_radius_mm"), self.ball_radius_mm, 0.1, 100.0);
-        let least = if self.hole {
+        let min = if self.hole {
             self.ball_radius_mm * 1.001
         } else {
             0.1
         };
-        check.within(field("radius_mm"), self.radius_mm, least, 500.0);
+        check.within(field("radius_mm"), self.radius_mm, min, 500.0);
         let [low, high] = self.edge_mm;
         check.within(field("edge_mm: low"), low, -500.0, 500.0);
         check.within(field("edge_mm: high"), high, low, 500.0);

@@ -183,10 +183,10 @@ pub struct Operator {
 }
 
 /// Limits the length of a vector.
-fn within(vector: Vector, most: f64) -> Vector {
+fn within(vector: Vector, max: f64) -> Vector {
     let size = length(vector);
-    if size > most {
-        times(vector, most / size)
+    if size > max {
+        times(vector, max / size)
     } else {
         vector
     }

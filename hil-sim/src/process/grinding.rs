@@ -136,9 +136,9 @@ pub struct ForceStatistics {
     /// Mean of these turns, N.
     pub mean_n: f64,
     /// Least mean of a turn in the middle half of the contact, N.
-    pub least_turn_n: f64,
+    pub min_turn_n: f64,
     /// Largest mean of a turn in the middle half of the contact, N.
-    pub most_turn_n: f64,
+    pub max_turn_n: f64,
 }
 
 /// Means over a turn of the lap in contact.
@@ -202,12 +202,12 @@ impl Turns {
             peak_n: self.peak,
             turns: count as u32,
             mean_n: forces(&self.means).iter().sum::<f64>() / count.max(1) as f64,
-            least_turn_n: middle
+            min_turn_n: middle
                 .iter()
                 .copied()
                 .fold(f64::INFINITY, f64::min)
                 .min(self.peak),
-            most_turn_n: middle.iter().copied().fold(0.0, f64::max),
+            max_turn_n: middle.iter().copied().fold(0.0, f64::max),
         }
     }
 }

@@ -218,11 +218,11 @@ impl Workpiece {
         })
     }
 
-    /// Image of the surface with at most `most` points along its longer side; each is the mean of
+    /// Image of the surface with at most `max` points along its longer side; each is the mean of
     /// the map points that it covers.
-    pub fn picture(&self, most: usize) -> Picture {
+    pub fn picture(&self, max: usize) -> Picture {
         let [columns, rows] = self.size();
-        let block = columns.max(rows).div_ceil(most.max(1));
+        let block = columns.max(rows).div_ceil(max.max(1));
         let (wide, high) = (columns.div_ceil(block), rows.div_ceil(block));
         let mut heights = Vec::with_capacity(wide * high);
         let mut depths = Vec::with_capacity(wide * high);
@@ -312,16 +312,16 @@ pub fn circle(points: &[[f64; 2]]) -> Option<Circle> {
             break;
         }
     }
-    let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
+    let (mut min, mut max) = (f64::INFINITY, 0.0_f64);
     for point in points {
         let off = distance(point, &centre);
-        least = least.min(off);
-        most = most.max(off);
+        min = min.min(off);
+        max = max.max(off);
     }
     Some(Circle {
         centre,
         radius,
-        roundness: most - least,
+        roundness: max - min,
         points: points.len(),
     })
 }

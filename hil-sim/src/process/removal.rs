@@ -129,7 +129,7 @@ fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
     }
     while pieces < PIECES {
         // The position that deviates most from its line becomes a corner.
-        let (mut most, mut split, mut after) = (ASIDE * ASIDE, 0, 0);
+        let (mut max, mut split, mut after) = (ASIDE * ASIDE, 0, 0);
         for piece in 0..pieces {
             let (from, to) = (way[corners[piece]], way[corners[piece + 1]]);
             let line = minus(to, from);
@@ -147,8 +147,8 @@ fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
                 let part = if square > 0.0 { along / square } else { 0.0 };
                 let aside = minus(off, line.map(|value| value * part));
                 let aside = dot(aside, aside);
-                if aside > most {
-                    (most, split, after) = (aside, k, piece);
+                if aside > max {
+                    (max, split, after) = (aside, k, piece);
                 }
             }
         }

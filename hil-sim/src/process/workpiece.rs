@@ -329,13 +329,13 @@ impl Sweep {
             return (-far, far);
         }
         // A descending ball is lowest behind its centre.
-        let least = if self.lead < 0.0 {
+        let min = if self.lead < 0.0 {
             self.lead * self.radius
         } else {
             0.0
         };
         let [x_part, y_part] = self.along;
-        let bound = least - y * y_part;
+        let bound = min - y * y_part;
         if x_part > 1e-6 {
             (bound / x_part, far)
         } else if x_part < -1e-6 {

@@ -115,7 +115,7 @@ pub fn peaks(cuts: &[Cut], turns: usize) -> ([f64; 3], [f64; 3]) {
 pub fn largest(cuts: &[Cut]) -> f64 {
     cuts.iter()
         .flat_map(|cut| cut.force)
-        .fold(0.0, |most: f64, part| most.max(part.abs()))
+        .fold(0.0, |max: f64, part| max.max(part.abs()))
 }
 
 /// A slot of 20 mm from the origin towards -x, the tool at its end.

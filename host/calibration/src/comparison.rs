@@ -53,10 +53,10 @@ impl TableProblem {
 
 /// Largest distance of a reading of a side from its nominal place, mm: five times the set-up errors
 /// of the published tables. Beyond it are other units and other sides.
-pub const MOST_OFF: f64 = 2.0;
+pub const MAX_OFF: f64 = 2.0;
 
 /// Smallest distance of two positions, mm: a tenth of that of the published tables.
-const LEAST_APART: f64 = 1.0;
+const MIN_APART: f64 = 1.0;
 
 /// A line of a table.
 struct Row<'a> {
@@ -99,7 +99,7 @@ impl SideTable {
     /// readings of the runs; further columns are ignored. `along` is the letter of the coordinate
     /// along the side; the header must not name the other one. Coordinates are those of the part,
     /// mm:
-    /// positions within its side, each once, and readings within [`MOST_OFF`] of its nominal place
+    /// positions within its side, each once, and readings within [`MAX_OFF`] of its nominal place
     /// at -80.
     ///
     /// # Errors
@@ -143,10 +143,10 @@ impl SideTable {
             let row = Row::new(line, text);
             let position = row.coordinate(0, 0.0, HALF_SIDE)?;
             let twice = table.positions.iter().zip(&places);
-            let mut twice = twice.filter(|(at, _)| (position - **at).abs() < LEAST_APART);
+            let mut twice = twice.filter(|(at, _)| (position - **at).abs() < MIN_APART);
             if let Some((at, before)) = twice.next() {
                 let what = format!(
-                    "position {position} mm is less than {LEAST_APART} mm from {at} mm in line \
+                    "position {position} mm is less than {MIN_APART} mm from {at} mm in line \
                      {before}; give every position once"
                 );
                 return Err(TableProblem::at(line, what));
@@ -154,7 +154,7 @@ impl SideTable {
             table.positions.push(position);
             places.push(line);
             for (run, readings) in table.runs.iter_mut().enumerate() {
-                readings.push(row.coordinate(run + 1, -HALF_SIDE, MOST_OFF)?);
+                readings.push(row.coordinate(run + 1, -HALF_SIDE, MAX_OFF)?);
             }
             if table.positions.len() > rows {
                 let what = format!("is row {} of {rows}; remove it", rows + 1);
@@ -224,8 +224,8 @@ fn widest_gap(positions: &[f64]) -> String {
     let width = |gap: &[f64; 2]| gap[1] - gap[0];
     gaps.sort_by(|a, b| width(a).total_cmp(&width(b)));
     match (gaps.first(), gaps.last()) {
-        (Some(least), Some(most)) if width(most) > 1.5 * width(least) => {
-            format!("; its largest gap is from {} to {} mm", most[0], most[1])
+        (Some(min), Some(max)) if width(max) > 1.5 * width(min) => {
+            format!("; its largest gap is from {} to {} mm", max[0], max[1])
         }
         _ => String::new(),
     }

@@ -117,9 +117,9 @@ fn cut_at(samples: &[Sample], grid: &Grid, point: &ProbePoint) -> Option<Vector>
         let distance = (nearest - centre).norm();
         let (own, other) = (error(here), error(next));
         let reached = centre + own + (other - own) * part;
-        let closer = best.as_ref().is_none_or(|(least, last, _)| {
+        let closer = best.as_ref().is_none_or(|(min, last, _)| {
             // The last pass counts among those at the point.
-            distance < NEAR && (index > *last || *least >= NEAR) || distance < *least
+            distance < NEAR && (index > *last || *min >= NEAR) || distance < *min
         });
         if closer {
             best = Some((distance, index, reached));

@@ -288,13 +288,13 @@ fn circles(body: &mut String, states: &[State]) {
         );
         for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
-            let [most, least] = circle.radial.map(|value| value * 1e3);
+            let [max, min] = circle.radial.map(|value| value * 1e3);
             put(
                 body,
                 format_args!(
                     "<tr><td>{}</td><td class=\"n\">{feed}</td><td class=\"n\">{ccw:.2}</td>\
                      <td class=\"n\">{cw:.2}</td><td class=\"n\">{:.2}</td>\
-                     <td class=\"n\">{most:.2}</td><td class=\"n\">{least:.2}</td>\
+                     <td class=\"n\">{max:.2}</td><td class=\"n\">{min:.2}</td>\
                      <td class=\"n\">{:.1}</td></tr>",
                     state.name,
                     circle.hysteresis * 1e3,

@@ -12,7 +12,7 @@ use crate::drive::{Machine, SLOW};
 use crate::statistics::SINGULAR;
 use haptimill_client::Error;
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::compensation::{CHAIN, MOST_NODES};
+use haptimill_machine_file::compensation::{CHAIN, MAX_NODES};
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::chain::Model;
 use haptimill_volumetric::errors::ErrorSet;
@@ -32,7 +32,7 @@ pub const MACHINE_NAME: &str = "machines/vmc3.toml (built in)";
 
 /// Nodes of exact tables along x, y and z: the most that the controller holds, so that its tables
 /// are those of the file.
-const NODES: [usize; 3] = [MOST_NODES; 3];
+const NODES: [usize; 3] = [MAX_NODES; 3];
 
 /// States of the worn machine.
 pub const WORN: [&str; 3] = [
@@ -437,11 +437,11 @@ pub fn table(outcome: &ScenarioResult) -> String {
         for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let hysteresis = circle.hysteresis * 1e3;
-            let [most, least] = circle.radial.map(|value| value * 1e3);
+            let [max, min] = circle.radial.map(|value| value * 1e3);
             let _ = writeln!(
                 text,
-                "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2} {least:>8.2} to \
-                 {most:.2}"
+                "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2} {min:>8.2} to \
+                 {max:.2}"
             );
         }
     }

@@ -193,7 +193,7 @@ fn measured_errors_are_as_exact_as_the_instruments() {
         }
         let range = truth
             .iter()
-            .fold(0.0_f64, |most, value| most.max(value.abs()));
+            .fold(0.0_f64, |max, value| max.max(value.abs()));
         let deviation = |at: f64| {
             let of_scale = match function.kind() {
                 Kind::Positioning => 0.5 * scale * at,
@@ -208,7 +208,7 @@ fn measured_errors_are_as_exact_as_the_instruments() {
             .collect();
         let largest = ratios
             .iter()
-            .fold(0.0_f64, |most, ratio| most.max(ratio.abs()));
+            .fold(0.0_f64, |max, ratio| max.max(ratio.abs()));
         let squares = ratios.iter().map(|ratio| ratio * ratio).sum::<f64>();
         let rms = (squares / ratios.len() as f64).sqrt();
         let unit = function.file_unit();
@@ -251,8 +251,8 @@ fn the_model_explains_the_measured_sides() {
     for (side, low, high) in [(0, 0.81, 0.95), (1, 0.41, 0.84)] {
         let mut values: Vec<f64> = all.iter().map(|pair| pair[side]).collect();
         values.sort_by(f64::total_cmp);
-        let [least, median, most] = [2, 20, 37].map(|place| values[place]);
-        println!("side {side}: R2 {least:.2} to {most:.2}, median {median:.2}");
+        let [min, median, max] = [2, 20, 37].map(|place| values[place]);
+        println!("side {side}: R2 {min:.2} to {max:.2}, median {median:.2}");
         assert!((low..high).contains(&median), "{side}: {values:?}");
     }
 }

@@ -222,7 +222,7 @@ fn no_tool_gouges_the_part() {
         .collect();
     tools.dedup();
     assert_eq!(tools, [3, 2, 3, 4]);
-    for (from, to, least) in [
+    for (from, to, min) in [
         // Across the finished diamond at the height of the circle, 10 mm deep.
         ("G1 Y20\nG0 Z20", "G1 Y20\nG1 Z-16\nG1 X40\nG0 Z20", 5.0),
         // A hole whose path is 20 um too wide, and a side that is 50 um too far inwards.
@@ -231,6 +231,6 @@ fn no_tool_gouges_the_part() {
     ] {
         assert!(PROGRAM.contains(from), "{from}");
         let ((overlap, at), _) = deepest(&PROGRAM.replacen(from, to, 1));
-        assert!(overlap > least, "{to}: {overlap} at {at:?}");
+        assert!(overlap > min, "{to}: {overlap} at {at:?}");
     }
 }

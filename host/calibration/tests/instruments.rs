@@ -316,9 +316,9 @@ fn circle_test_finds_hysteresis() {
         }
         let result = evaluate_circle(&samples, &test).unwrap();
         assert!((result.hysteresis - 2e-3).abs() < 0.005e-3, "{result:?}");
-        let [most, least] = result.radial;
-        assert!((most - larger - 1e-3).abs() < 0.005e-3, "{most}");
-        assert!((least - larger + 1e-3).abs() < 0.005e-3, "{least}");
+        let [max, min] = result.radial;
+        assert!((max - larger - 1e-3).abs() < 0.005e-3, "{max}");
+        assert!((min - larger + 1e-3).abs() < 0.005e-3, "{min}");
     }
 }
 

@@ -18,7 +18,7 @@ use std::fmt::Write;
 const OUT_OF_RANGE: &str = "out_of_range";
 
 /// Largest number of rows of a grid.
-const MOST_ROWS: usize = 1_000_000;
+const MAX_ROWS: usize = 1_000_000;
 
 /// Direction of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -199,7 +199,7 @@ impl Table {
             }
             // A step that divides the range reaches its end in spite of rounding.
             let steps = ((column.high - column.low) / column.step + 1e-9).floor();
-            if steps >= MOST_ROWS as f64 {
+            if steps >= MAX_ROWS as f64 {
                 return Err(too_many_rows());
             }
             values[place] = (0..=steps as usize)
@@ -209,7 +209,7 @@ impl Table {
         let rows = values
             .iter()
             .try_fold(1_usize, |rows, column| rows.checked_mul(column.len()))
-            .filter(|rows| *rows <= MOST_ROWS)
+            .filter(|rows| *rows <= MAX_ROWS)
             .ok_or_else(too_many_rows)?;
         let mut out = self.header(&inputs);
         for index in 0..rows {
@@ -320,7 +320,7 @@ impl Table {
 }
 
 fn too_many_rows() -> String {
-    format!("--grid: has more than {MOST_ROWS} rows; raise a step")
+    format!("--grid: has more than {MAX_ROWS} rows; raise a step")
 }
 
 /// Names of the columns of axes.
@@ -344,7 +344,7 @@ fn fixed(value: f64, scale: f64) -> Option<Coordinate> {
 }
 
 /// Largest number of listed problems; a table in the wrong format has one in each cell.
-const MOST_PROBLEMS: usize = 20;
+const MAX_PROBLEMS: usize = 20;
 
 /// Reads the named columns of a table.
 fn read(name: &str, csv: &[u8], columns: &[String]) -> Result<Vec<Vec<f64>>, String> {
@@ -412,8 +412,8 @@ fn read(name: &str, csv: &[u8], columns: &[String]) -> Result<Vec<Vec<f64>>, Str
             }
         }
         rows.push(row);
-        if problems.len() >= MOST_PROBLEMS {
-            problems.truncate(MOST_PROBLEMS);
+        if problems.len() >= MAX_PROBLEMS {
+            problems.truncate(MAX_PROBLEMS);
             problems.push(format!("{name}: and perhaps more"));
             break;
         }

@@ -57,8 +57,8 @@ fn limits_of_a_weak_motor_are_shown_and_written() {
     // 70 % of 71.4 mm/s and 1,429 mm/s^2 would be the values of the file.
     let rate = x["proposed_rate"].as_f64().unwrap();
     assert!((0.69..0.71).contains(&(rate / kept)), "{x}");
-    let most = x["acceleration"]["no_loss_up_to"].as_f64().unwrap();
-    assert!((1428.5..1428.6).contains(&most), "{x}");
+    let max = x["acceleration"]["no_loss_up_to"].as_f64().unwrap();
+    assert!((1428.5..1428.6).contains(&max), "{x}");
     assert_eq!(x["proposed_acceleration"], json!(null));
     let others = [json!("--joint names others"), json!("--joint names others")];
     let reasons = shown["not_measured"].as_array().unwrap();

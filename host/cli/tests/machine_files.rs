@@ -202,8 +202,8 @@ fn the_thread_example_winds_the_axis() {
     let column = names.iter().position(|name| *name == "a_tool_deg");
     let column = column.unwrap_or_else(|| panic!("{names:?}"));
     let angle = |row: &str| row.split(',').nth(column).unwrap().parse::<f64>().unwrap();
-    let most = rows.map(angle).fold(0.0, f64::max);
-    assert!((most - 3600.0).abs() < 0.05, "{most}");
+    let max = rows.map(angle).fold(0.0, f64::max);
+    assert!((max - 3600.0).abs() < 0.05, "{max}");
 }
 
 /// Volume under the ball of 4 mm radius along the path of the program at a depth of 2 mm, summed

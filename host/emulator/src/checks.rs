@@ -163,12 +163,12 @@ fn rules(machine: &MachineFile) -> Rules {
         else {
             continue;
         };
-        let least = |ticks: u16| clock.femtoseconds(i64::from(ticks)) - TOLERANCE;
+        let min = |ticks: u16| clock.femtoseconds(i64::from(ticks)) - TOLERANCE;
         widths.push(u32::from(pulse));
-        rules.width = rules.width.max(least(pulse));
-        rules.pause = rules.pause.max(least(pulse));
-        rules.setup = rules.setup.max(least(setup));
-        rules.hold = rules.hold.max(least(hold));
+        rules.width = rules.width.max(min(pulse));
+        rules.pause = rules.pause.max(min(pulse));
+        rules.setup = rules.setup.max(min(setup));
+        rules.hold = rules.hold.max(min(hold));
     }
     // Joints of one width only: the rule is for all.
     rules.exact_width = widths
@@ -299,10 +299,10 @@ impl fmt::Display for Checks {
             self.available,
             self.margin_percent()
         )?;
-        let (least, most) = self.late;
+        let (min, max) = self.late;
         writeln!(
             out,
-            "a control period begins {least} to {most} cycles after its time"
+            "a control period begins {min} to {max} cycles after its time"
         )?;
         let names = Stage::ALL.iter().map(|stage| stage.name());
         for (stage, name) in names.chain(["words for the PIO"]).enumerate() {

@@ -5,7 +5,7 @@ use haptimill_client::flash::uf2;
 /// Start of the flash.
 pub const FLASH: u32 = 0x1000_0000;
 /// Largest flash that is accepted, bytes.
-const MOST: usize = 16 << 20;
+const MAX: usize = 16 << 20;
 
 /// Family of the RP2350's Arm cores in UF2 files.
 const UF2_ARM: u32 = 0xE48B_FF59;
@@ -37,7 +37,7 @@ pub fn flash(file: &[u8]) -> Result<Vec<u8>, String> {
     for (address, bytes) in pieces {
         let from = address.checked_sub(FLASH).map(|from| from as usize);
         let end = from.and_then(|from| from.checked_add(bytes.len()));
-        let (Some(from), Some(end)) = (from, end.filter(|end| *end <= MOST)) else {
+        let (Some(from), Some(end)) = (from, end.filter(|end| *end <= MAX)) else {
             return Err(format!(
                 "the image has contents at {address:#x}, outside of the flash"
             ));

@@ -22,8 +22,8 @@ const LOOK: u32 = 4;
 
 /// Difference of the largest and the smallest number.
 fn spread(values: impl Iterator<Item = u32> + Clone) -> u32 {
-    let least = values.clone().min().unwrap_or(0);
-    values.max().unwrap_or(0) - least
+    let min = values.clone().min().unwrap_or(0);
+    values.max().unwrap_or(0) - min
 }
 
 /// A control period begins at its time also while the host floods the port with bytes and the board

@@ -301,7 +301,7 @@ fn spindle_and_output_follow_the_program_and_the_emergency_stop() {
 fn a_probe_at_its_pin_ends_the_move_and_is_latched_in_time() {
     /// 10 mm/s at 640 steps/mm are 1.28 steps in a control period.
     const FEED: f64 = 600.0;
-    const MOST_STEPS: f64 = 3.0 * 1.28 + 1.0;
+    const MAX_STEPS: f64 = 3.0 * 1.28 + 1.0;
     let probe = "[[input]]\nname = \"probe\"\nfunction = \"probe\"\nchannel = 0\n\
                  active = \"high\"\nfilter_ms = 0\ncontact = \"fault\"\n\n[plant]\n";
     let machine = bench_with(probe);
@@ -350,7 +350,7 @@ fn a_probe_at_its_pin_ends_the_move_and_is_latched_in_time() {
     let late = found[0] * 640.0 - contact;
     let end = session.line_mut().steps[0];
     println!("latched {late:.2} steps after the contact at {contact}, ended at {end}");
-    assert!((-0.01..=MOST_STEPS).contains(&late), "{late}");
+    assert!((-0.01..=MAX_STEPS).contains(&late), "{late}");
     assert!((end as f64) < 3200.0, "{end}");
 }
 

@@ -59,7 +59,7 @@ pub struct PlateReport {
     /// Depth that was asked for, mm.
     pub depth_mm: f64,
     /// Least depth in the cut area, mm.
-    pub least_depth_mm: f64,
+    pub min_depth_mm: f64,
     /// Mean depth there, mm.
     pub mean_depth_mm: f64,
     /// Greatest depth anywhere, mm.
@@ -400,7 +400,7 @@ impl Plate {
             cell_mm: self.cell,
             band_mm: band,
             depth_mm: options.depth_mm,
-            least_depth_mm: f64::INFINITY,
+            min_depth_mm: f64::INFINITY,
             ..PlateReport::default()
         };
         // Tabs stay; above them the plate is cut.
@@ -428,7 +428,7 @@ impl Plate {
                     report.uncut_mm2 += area;
                     uncut[slot] = true;
                 } else {
-                    report.least_depth_mm = report.least_depth_mm.min(depth);
+                    report.min_depth_mm = report.min_depth_mm.min(depth);
                     sum += depth;
                     count += 1;
                 }
@@ -442,7 +442,7 @@ impl Plate {
         report.largest_patch_mm2 = largest as f64 * area;
         report.mean_depth_mm = if count > 0 { sum / count as f64 } else { 0.0 };
         if count == 0 {
-            report.least_depth_mm = 0.0;
+            report.min_depth_mm = 0.0;
         }
         report
     }

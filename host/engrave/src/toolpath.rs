@@ -129,9 +129,9 @@ pub struct Depths {
 }
 
 /// Joins cuts that begin where the one before ends, as far as that takes no more time: the tool
-/// does not come up and down again at the same point. `most` is the largest gap, mm.
+/// does not come up and down again at the same point. `max` is the largest gap, mm.
 #[must_use]
-pub fn join_cuts(cuts: Vec<Cut>, most: f64, speeds: &Speeds) -> Vec<Cut> {
+pub fn join_cuts(cuts: Vec<Cut>, max: f64, speeds: &Speeds) -> Vec<Cut> {
     let mut out: Vec<Cut> = Vec::with_capacity(cuts.len());
     for cut in cuts {
         let Some(last) = out.last_mut() else {
@@ -144,7 +144,7 @@ pub fn join_cuts(cuts: Vec<Cut>, most: f64, speeds: &Speeds) -> Vec<Cut> {
         let straight = (floor - cut.z).abs() / speeds.plunge;
         let lifted =
             (speeds.lift_mm - floor) / speeds.rise + (speeds.lift_mm - cut.z) / speeds.plunge;
-        if gap > most || straight > lifted {
+        if gap > max || straight > lifted {
             out.push(cut);
             continue;
         }

@@ -214,10 +214,10 @@ proptest! {
             at = to;
         }
         // Rounding moves each end by up to 0.1 um.
-        let most = 2e-4 * segments.len() as f64 + 1e-3 * length;
+        let max = 2e-4 * segments.len() as f64 + 1e-3 * length;
         let text = written(&segments);
         let off = length_of_cuts(&text) - length;
-        prop_assert!(off.abs() <= most, "{off} mm\n{text}");
+        prop_assert!(off.abs() <= max, "{off} mm\n{text}");
     }
 
     /// A short arc whose end rounds away from its start towards its centre is no whole circle.

@@ -112,13 +112,13 @@ impl Revolution {
         let (mut high, mut low) = ([0.0; 3], [0.0; 3]);
         for axis in 0..3 {
             let values = self.samples.iter().map(|force| force[axis]);
-            let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), v| {
+            let (min, max) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), v| {
                 (l.min(v), m.max(v))
             });
-            (high[axis], low[axis]) = if most.abs() >= least.abs() {
-                (most, least)
+            (high[axis], low[axis]) = if max.abs() >= min.abs() {
+                (max, min)
             } else {
-                (least, most)
+                (min, max)
             };
         }
         (high, low)

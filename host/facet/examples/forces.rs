@@ -19,8 +19,8 @@ struct Row {
     held: usize,
     turns: usize,
     turns_held: usize,
-    least: f64,
-    most: f64,
+    min: f64,
+    max: f64,
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -66,17 +66,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         if parts.is_empty() {
             continue;
         }
-        let least = parts.iter().copied().fold(f64::INFINITY, f64::min);
-        let most = parts.iter().copied().fold(0.0, f64::max);
+        let min = parts.iter().copied().fold(f64::INFINITY, f64::min);
+        let max = parts.iter().copied().fold(0.0, f64::max);
         println!(
-            "{} {} {}: {setpoint:.2} N, {} turns, {least:.3} to {most:.3}",
+            "{} {} {}: {setpoint:.2} N, {} turns, {min:.3} to {max:.3}",
             lap.name,
             facet.stage.name(),
             facet.name,
             parts.len()
         );
         if row.counted == 0 {
-            row.least = f64::INFINITY;
+            row.min = f64::INFINITY;
         }
         row.counted += 1;
         row.turns += parts.len();
@@ -86,14 +86,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             .count();
         row.turns_held += held;
         row.held += usize::from(held == parts.len());
-        row.least = row.least.min(least);
-        row.most = row.most.max(most);
+        row.min = row.min.min(min);
+        row.max = row.max.max(max);
     }
     println!("pass lap stage: operations, with turns that count, held, turns, held, least, most");
     for ((pass, lap, stage), row) in rows {
         println!(
             "{pass} {lap} {stage}: {}, {}, {}, {}, {}, {:.3}, {:.3}",
-            row.operations, row.counted, row.held, row.turns, row.turns_held, row.least, row.most
+            row.operations, row.counted, row.held, row.turns, row.turns_held, row.min, row.max
         );
     }
     let measured = &cutting.measured;

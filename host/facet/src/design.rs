@@ -339,10 +339,10 @@ impl Design {
         line: usize,
         problems: &mut Problems,
     ) {
-        let most = f64::from(*GEARS.end());
-        if order.fract() != 0.0 || !(1.0..=most).contains(&order) {
+        let max = f64::from(*GEARS.end());
+        if order.fract() != 0.0 || !(1.0..=max).contains(&order) {
             let what = format!("a symmetry of order {order}");
-            let remedy = format!("write a whole number of 1 to {most}; 1 is none");
+            let remedy = format!("write a whole number of 1 to {max}; 1 is none");
             problems.report(line, None, what, remedy);
             return;
         }

@@ -64,9 +64,9 @@ fn figures<'a>((job, cutting): Run<'a>) -> Vec<StageFigures<'a>> {
                 figures.count += 1;
                 figures.seconds += result.seconds;
                 figures.peak_n = figures.peak_n.max(result.force.peak_n);
-                let [least, most] = &mut figures.turns_n;
-                *least = least.min(result.force.least_turn_n);
-                *most = most.max(result.force.most_turn_n);
+                let [min, max] = &mut figures.turns_n;
+                *min = min.min(result.force.min_turn_n);
+                *max = max.max(result.force.max_turn_n);
             }
             all.push(figures);
         }
@@ -84,10 +84,10 @@ pub fn stages(body: &mut String, run: Run) {
         name(run.0.settings.mode)
     );
     for it in figures(run).iter().filter(|it| it.count > 0) {
-        let [least, most] = it.turns_n;
+        let [min, max] = it.turns_n;
         let _ = write!(
             body,
-            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.2}<td>{least:.2}<td>{most:.2}",
+            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{:.2}<td>{min:.2}<td>{max:.2}",
             escape(it.lap),
             it.side,
             it.stage.name(),
@@ -161,8 +161,8 @@ fn longest<'a>(
 ) -> Option<(&'a OperationResult, &'a OperationResult)> {
     let [(job, ours), (_, theirs)] = runs;
     let on_lap = |it: &&OperationResult| job.passes[it.pass].lap == lap;
-    let most = ours.operations.iter().filter(on_lap);
-    let one = most.max_by_key(|it| it.turns.len())?;
+    let max = ours.operations.iter().filter(on_lap);
+    let one = max.max_by_key(|it| it.turns.len())?;
     let other = theirs
         .operations
         .iter()

@@ -16,7 +16,7 @@ pub const ROUGH: usize = usize::MAX;
 pub const MEET_MM: f64 = 0.02;
 
 /// A face of a preform that is no larger is a rounding of the distances of the design, mm^2.
-const LEAST_AREA_MM2: f64 = 1e-3;
+const MIN_AREA_MM2: f64 = 1e-3;
 
 /// The stone before it is cut: a round preform about the spin axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -140,7 +140,7 @@ impl Trials {
                 .iter()
                 .filter(|other| kept.contains_key(other))
                 .count();
-            if best.is_none_or(|(most, largest, _)| (count, area) > (most, largest)) {
+            if best.is_none_or(|(max, largest, _)| (count, area) > (max, largest)) {
                 best = Some((count, area, line));
             }
         }
@@ -176,12 +176,12 @@ impl Gem {
         rough: Option<Rough>,
         problems: &mut Problems,
     ) -> Option<Self> {
-        let most = design
+        let max = design
             .facets
             .iter()
             .map(|facet| facet.distance.abs())
             .fold(1e-3, f64::max);
-        let reach = 100.0 * most;
+        let reach = 100.0 * max;
         let mut ideal = Polyhedron::block([-reach; 3], [reach; 3], ROUGH);
         for (number, facet) in design.facets.iter().enumerate() {
             ideal.cut(design.plane(facet), number);
@@ -268,7 +268,7 @@ impl Gem {
         let stays = |face: &&Face| {
             let facet = self.design.facets.get(face.tag);
             facet.is_some_and(|facet| facet.stage == Stage::Preform)
-                && self.body.area(face) > LEAST_AREA_MM2
+                && self.body.area(face) > MIN_AREA_MM2
         };
         let stay: Vec<usize> = self
             .body
@@ -438,7 +438,7 @@ fn gain(body: &Polyhedron, facets: &[usize]) -> f64 {
         .filter_map(|tag| body.faces().iter().find(|face| face.tag == tag))
         .map(|face| face.plane.normal)
         .collect();
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for (i, a) in normals.iter().enumerate() {
         for (j, b) in normals.iter().enumerate().skip(i + 1) {
             for c in &normals[j + 1..] {
@@ -454,10 +454,10 @@ fn gain(body: &Polyhedron, facets: &[usize]) -> f64 {
                         times(columns[0], sign(0)),
                         plus(times(columns[1], sign(1)), columns[2]),
                     );
-                    most = most.max(length(sum) / volume.abs());
+                    max = max.max(length(sum) / volume.abs());
                 }
             }
         }
     }
-    most
+    max
 }

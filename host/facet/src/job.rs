@@ -38,7 +38,7 @@ pub struct Lap {
     /// Depth that it leaves for the next lap, mm.
     pub stock_mm: f64,
     /// Feed into the stone, mm/s; by feed less where a facet is so large that its force would
-    /// exceed [`JobSettings::most_force_n`].
+    /// exceed [`JobSettings::max_force_n`].
     pub feed_mm_s: f64,
     /// Force of the stone on the lap under force control, N. A facet on which it would remove more
     /// than the maximum feed gets the force that removes as much.
@@ -53,7 +53,7 @@ pub struct Lap {
 /// How facets are ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {
-    /// By feed to the depth, with a steady force of at most [`JobSettings::most_force_n`].
+    /// By feed to the depth, with a steady force of at most [`JobSettings::max_force_n`].
     #[default]
     Feed,
     /// By force: the stone is lowered a little faster than its force removes material, at most at
@@ -91,10 +91,10 @@ const FORCE_FEED: f64 = 0.15;
 const LEAD: f64 = 1.1;
 
 /// Smallest force setpoint, N: below, noise and friction are a large part of it.
-const LEAST_FORCE_N: f64 = 0.5;
+const MIN_FORCE_N: f64 = 0.5;
 
-/// Default of [`JobSettings::most_force_n`], N.
-pub const MOST_FORCE_N: f64 = 15.0;
+/// Default of [`JobSettings::max_force_n`], N.
+pub const MAX_FORCE_N: f64 = 15.0;
 
 /// Largest number of strokes of a facet.
 const MAX_STROKES: usize = 20_000;
@@ -108,7 +108,7 @@ pub struct JobSettings {
     pub mode: Mode,
     /// Largest steady force of a facet by feed, N, as Preston's law has it: the feed of a large
     /// facet is limited to what this force removes.
-    pub most_force_n: f64,
+    pub max_force_n: f64,
     /// Distance of the stone from the centre of the lap, mm.
     pub radius_mm: f64,
     /// Width of the sweep over the lap, mm.
@@ -140,7 +140,7 @@ impl Default for JobSettings {
                 lap("polish", 0.0, 0.004, 2.0, 5.0, 4e-6),
             ],
             mode: Mode::Feed,
-            most_force_n: MOST_FORCE_N,
+            max_force_n: MAX_FORCE_N,
             radius_mm: 45.0,
             sweep_mm: 10.0,
             sweep_mm_s: 20.0,
@@ -372,8 +372,8 @@ fn removal_mm_s(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, plane: &P
 
 /// Force setpoint of a facet: that of the lap, or what removes as much as the maximum feed.
 fn force_n(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, goal: &Plane) -> f64 {
-    let most = FORCE_FEED / LEAD / removal_mm_s(settings, lap, stone, goal);
-    lap.force_n.min(most.max(LEAST_FORCE_N))
+    let max = FORCE_FEED / LEAD / removal_mm_s(settings, lap, stone, goal);
+    lap.force_n.min(max.max(MIN_FORCE_N))
 }
 
 /// Heights of the tip for a facet on a lap, mm.
@@ -430,7 +430,7 @@ impl Place<'_> {
                     let distance = (distance - stroke_s * feed).max(self.goal);
                     let end = Plane { distance, ..goal };
                     let per_newton = removal_mm_s(self.settings, self.lap, stone, &end);
-                    feed.min(self.settings.most_force_n * per_newton)
+                    feed.min(self.settings.max_force_n * per_newton)
                 }
             };
             let next = (distance - stroke_s * feed).max(self.goal);

@@ -30,7 +30,7 @@ pub use job::{Coolant, Job, JobSettings, Lap, Mode, Mount, Operation, Pass, in_d
 pub use measure::{ANGLE_DEG, FacetResult, Measured, MeetResult};
 pub use page::report;
 pub use problem::{Problem, Refused};
-pub use reach::{check_machine, coolant, index_wraps, most_force_n};
+pub use reach::{check_machine, coolant, index_wraps, max_force_n};
 pub use run::{Cutting, OperationResult, RunOptions, cut};
 
 /// Largest number of facets of a design.

@@ -321,13 +321,13 @@ impl CsvReader<'_> {
     fn facet(&mut self, cells: &[&str], at: usize) -> Option<()> {
         let name = cells.get(3).filter(|name| !name.is_empty()).copied();
         let columns = self.columns.unwrap_or(COLUMNS.len());
-        let most = match self.columns {
+        let max = match self.columns {
             Some(columns) => format!("the row of titles {columns}"),
             None => format!("a list at most {columns}"),
         };
         // A decimal comma makes a cell more, or a name that is a number.
         if cells.len() > columns {
-            let what = format!("the row has {} cells, and {most}", cells.len());
+            let what = format!("the row has {} cells, and {max}", cells.len());
             let remedy = "write 12.5 with a point, and names and notes without a comma";
             self.problems.report(at, None, what, remedy);
             return None;

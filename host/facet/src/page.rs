@@ -178,11 +178,11 @@ fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
         near.map_or(0.0, |facet| (1e3 * facet.depth_mm) as f32)
     };
     let (mesh, values) = triangles(stone, depth);
-    let most = (1e3 * measured.worst_depth_mm()).max(0.1);
+    let max = (1e3 * measured.worst_depth_mm()).max(0.1);
     let scale = Scale {
         label: "depth error, um".into(),
-        low: -most,
-        high: most,
+        low: -max,
+        high: max,
         map: Map::Diverging,
     };
     let plain = triangles(stone, |_| 0.0).0;

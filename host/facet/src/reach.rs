@@ -29,9 +29,9 @@ fn limit_n(machine: &MachineFile) -> Option<f64> {
 /// Largest steady force for the facets of a job on this machine, N: three eighths of the force at
 /// which it stops, or the default without a sensor.
 #[must_use]
-pub fn most_force_n(machine: &MachineFile) -> f64 {
-    let most = crate::job::MOST_FORCE_N;
-    limit_n(machine).map_or(most, |limit| most.min(FORCE_PART * limit))
+pub fn max_force_n(machine: &MachineFile) -> f64 {
+    let max = crate::job::MAX_FORCE_N;
+    limit_n(machine).map_or(max, |limit| max.min(FORCE_PART * limit))
 }
 
 /// The coolant of a machine that a part program switches.
@@ -114,13 +114,13 @@ pub fn check_machine(gem: &Gem, job: &Job, machine: &MachineFile) -> Result<(), 
                 "grind by feed, or add [force] to the machine file",
             ));
         };
-        let most = LARGEST_PART * limit;
-        if let Some(lap) = job.settings.laps.iter().find(|lap| lap.force_n > most) {
+        let max = LARGEST_PART * limit;
+        if let Some(lap) = job.settings.laps.iter().find(|lap| lap.force_n > max) {
             let what = format!(
                 "the force of lap {} is {} N, and the machine stops at {limit} N",
                 lap.name, lap.force_n
             );
-            let remedy = format!("lower force_n of the lap to {most} or less");
+            let remedy = format!("lower force_n of the lap to {max} or less");
             return refuse(plain(what, &remedy));
         }
     }
@@ -162,14 +162,14 @@ fn check_lap(gem: &Gem, job: &Job, problems: &mut Problems) {
     let rim = LapConfig::default().radius_mm;
     let inner = settings.radius_mm - half;
     let outer = rim - settings.radius_mm - half;
-    let most = inner.min(outer);
+    let max = inner.min(outer);
     let mut seen = BTreeSet::new();
     for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
-        if operation.extent_mm > most && seen.insert(operation.facet) {
+        if operation.extent_mm > max && seen.insert(operation.facet) {
             let facet = &gem.design.facets[operation.facet];
             let what = format!(
                 "reaches {:.1} mm from the axis of the dop on the lap, and the lap of {rim} mm \
-                 radius has {most:.1} mm beside the sweep",
+                 radius has {max:.1} mm beside the sweep",
                 operation.extent_mm
             );
             problems.report(facet.line, Some(&facet.name), what, "lower --width");

@@ -113,7 +113,7 @@ fn the_force_of_a_large_facet_is_limited_by_feed() {
     let mut settings = JobSettings::default();
     settings.laps.truncate(1);
     settings.laps[0].stock_mm = 0.0;
-    let most = settings.most_force_n;
+    let max = settings.max_force_n;
     let job = Job::new(&gem, settings).unwrap();
     let area = job.passes[0].operations[0].area_mm2;
     assert!((area - 115.0).abs() < 5.0, "{area} mm^2");
@@ -124,13 +124,10 @@ fn the_force_of_a_large_facet_is_limited_by_feed() {
     let cutting = cut(&gem, &job, &machine(), &options, &mut |_, _| {}).unwrap();
     let cutting = cutting.whole().unwrap();
     let force = &cutting.operations[0].force;
-    println!(
-        "turns {:.2} to {:.2} N",
-        force.least_turn_n, force.most_turn_n
-    );
-    assert!(force.most_turn_n < most + 3.0, "{force:?}");
+    println!("turns {:.2} to {:.2} N", force.min_turn_n, force.max_turn_n);
+    assert!(force.max_turn_n < max + 3.0, "{force:?}");
     // The limit is used.
-    assert!(force.most_turn_n > 0.8 * most, "{force:?}");
+    assert!(force.max_turn_n > 0.8 * max, "{force:?}");
 }
 
 /// A stone that is ground 60 times slower than planned is displaced when the program ends. It
@@ -169,7 +166,7 @@ fn a_slow_facet_sparks_out_to_its_depth() {
 fn a_job_that_stops_keeps_its_facets() {
     let gem = table_first(8.0);
     let mut settings = JobSettings {
-        most_force_n: 1000.0,
+        max_force_n: 1000.0,
         ..JobSettings::default()
     };
     // The second lap takes 0.15 mm in one stroke.
@@ -313,9 +310,9 @@ fn the_sweep_wears_the_lap_evenly() {
                 }
             }
             assert!(within.len() >= 7 && beyond == 0.0);
-            let least = within.iter().copied().fold(f64::INFINITY, f64::min);
-            assert!(least > 0.0);
-            within.iter().copied().fold(0.0, f64::max) / least
+            let min = within.iter().copied().fold(f64::INFINITY, f64::min);
+            assert!(min > 0.0);
+            within.iter().copied().fold(0.0, f64::max) / min
         });
         println!("{mode:?}: {ratios:.2?}");
         let mut sorted = ratios;

@@ -259,10 +259,10 @@ fn home_signs_and_offsets() {
             for k in 0..5 {
                 // Backlash and friction of the slides. The friction of the dop twists the drive of
                 // the index by 0.0096 degrees, which the encoder on its motor does not see.
-                let most = if k == INDEX { 0.012 } else { 0.004 };
+                let max = if k == INDEX { 0.012 } else { 0.004 };
                 let off = [at_home[k] - home[k], at_end[k] - ends[k]];
                 println!("{name}, seed {seed}: {k} {off:+.5?}");
-                assert!(off.iter().all(|off| off.abs() < most), "{name} {k} {off:?}");
+                assert!(off.iter().all(|off| off.abs() < max), "{name} {k} {off:?}");
             }
             let last = motion.0.last().expect("telemetry");
             let model = Model::new(&machine);

@@ -26,7 +26,7 @@ pub(crate) type Refusal = (String, String);
 /// Largest share of the radii by which the radii of an arc differ, and the largest difference in
 /// multiples of the absolute tolerance.
 const RELATIVE_TOLERANCE: f64 = 1e-3;
-const MOST_TOLERANCES: f64 = 100.0;
+const MAX_TOLERANCES: f64 = 100.0;
 
 /// Returns the largest difference of an arc's radii, mm: the rule of LinuxCNC, and a tenth of the
 /// radius.
@@ -38,7 +38,7 @@ fn tolerance(smaller: f64, inch: bool) -> f64 {
     };
     let larger = smaller / (1.0 - RELATIVE_TOLERANCE);
     absolute
-        .max((RELATIVE_TOLERANCE * larger).min(MOST_TOLERANCES * absolute))
+        .max((RELATIVE_TOLERANCE * larger).min(MAX_TOLERANCES * absolute))
         .min(0.1 * smaller)
 }
 

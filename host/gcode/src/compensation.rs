@@ -14,7 +14,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 const SMOOTH: f64 = 0.05;
 
 /// Longest run of moves without motion in the plane, and of other steps, that are held.
-const MOST_HELD: usize = 1000;
+const MAX_HELD: usize = 1000;
 
 /// Problem and remedy.
 type Refusal = (String, String);
@@ -191,7 +191,7 @@ impl Output {
             self.steps.push_back(step);
         } else {
             self.compensation.held.push(Held::Step(step));
-            if self.compensation.held.len() > MOST_HELD {
+            if self.compensation.held.len() > MAX_HELD {
                 self.release();
             }
         }
@@ -318,9 +318,9 @@ impl Output {
             let end = in_plane(&self.end(), plane);
             set_in_plane(&mut leg.to, plane, end);
             self.hold(leg);
-            if self.compensation.held.len() > MOST_HELD {
+            if self.compensation.held.len() > MAX_HELD {
                 return Err((
-                    format!("more than {MOST_HELD} moves outside the plane in a row"),
+                    format!("more than {MAX_HELD} moves outside the plane in a row"),
                     "switch the compensation off (G40) before them".into(),
                 ));
             }

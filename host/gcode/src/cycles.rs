@@ -13,7 +13,7 @@ use super::tool_table::PerLetter;
 const PECK_CLEARANCE_MM: f64 = 0.254;
 
 /// Most moves of one block.
-const MOST_MOVES: f64 = 100_000.0;
+const MAX_MOVES: f64 = 100_000.0;
 
 /// A hole: levels in machine coordinates.
 struct Hole {
@@ -194,10 +194,10 @@ impl Executor {
         } else {
             1.0
         };
-        if pecks * repeats > MOST_MOVES {
+        if pecks * repeats > MAX_MOVES {
             return mistake(
                 at,
-                format!("{name} makes more than {MOST_MOVES} moves"),
+                format!("{name} makes more than {MAX_MOVES} moves"),
                 "write a larger peck depth Q, or fewer repeats L",
             );
         }

@@ -12,7 +12,7 @@ pub(crate) const DEEPEST_CALL: usize = 50;
 pub(crate) const ARGUMENTS: usize = 30;
 
 /// Most returns to an earlier line in one program: beyond, a loop has no end.
-pub(crate) const MOST_JUMPS: u64 = 1_000_000;
+pub(crate) const MAX_JUMPS: u64 = 1_000_000;
 
 /// What follows an O word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -307,11 +307,11 @@ impl Flow {
     /// Counts a return to an earlier line.
     pub(crate) fn jump(&mut self, at: usize) -> Read<()> {
         self.jumps += 1;
-        if self.jumps > MOST_JUMPS {
+        if self.jumps > MAX_JUMPS {
             self.is_endless = true;
             return Err(Box::new(Mistake::new(
                 at,
-                format!("the program goes back to earlier lines more than {MOST_JUMPS} times"),
+                format!("the program goes back to earlier lines more than {MAX_JUMPS} times"),
                 "check the condition of the loop: it may have no end",
             )));
         }

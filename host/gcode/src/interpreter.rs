@@ -14,7 +14,7 @@ use super::tool_table::{PerLetter, ToolTable, WorkOffset};
 use super::{Comment, Coordinates, Options};
 
 /// Most repeats of the main program by M99.
-const MOST_REPEATS: u32 = 100;
+const MAX_REPEATS: u32 = 100;
 
 /// Interpreter of a part program: an iterator over its steps.
 ///
@@ -357,10 +357,10 @@ impl<'a> Interpreter<'a> {
     /// M99 of the main program: back to its first block.
     fn repeat_program(&mut self, at: usize) -> Read<()> {
         self.repeats += 1;
-        if self.repeats > MOST_REPEATS {
+        if self.repeats > MAX_REPEATS {
             return Err(Box::new(Mistake::new(
                 at,
-                format!("M99 in the main program repeats it more than {MOST_REPEATS} times"),
+                format!("M99 in the main program repeats it more than {MAX_REPEATS} times"),
                 "write M30, or a loop with a number of rounds",
             )));
         }

@@ -34,7 +34,7 @@ fn turned_to(at: f64, word: f64, shift: f64) -> f64 {
 const ARC_LETTERS: u32 = letters(b"IJKR");
 
 /// Most turns of an arc (P).
-const MOST_TURNS: f64 = 10_000.0;
+const MAX_TURNS: f64 = 10_000.0;
 
 /// Words of the centre of an arc, by axis.
 const CENTRES: [u8; 3] = *b"IJK";
@@ -418,7 +418,7 @@ impl Executor {
         }
         let turns = match block.word(b'P') {
             None => 1,
-            Some(word) if word.value.fract() == 0.0 && (1.0..=MOST_TURNS).contains(&word.value) => {
+            Some(word) if word.value.fract() == 0.0 && (1.0..=MAX_TURNS).contains(&word.value) => {
                 word.value as u32
             }
             Some(word) => {

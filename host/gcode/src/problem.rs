@@ -72,12 +72,12 @@ impl std::error::Error for Refused {}
 pub struct Problems {
     listed: Vec<Listed>,
     more: usize,
-    /// File and line of each problem, of the first [`MOST_LINES`].
+    /// File and line of each problem, of the first [`MAX_LINES`].
     lines: BTreeSet<(u16, u32)>,
 }
 
 /// Lines whose problems are counted once, although loops repeat them.
-const MOST_LINES: usize = 10_000;
+const MAX_LINES: usize = 10_000;
 
 /// Other lines with the same problem that are named.
 const NAMED_LINES: usize = 3;
@@ -123,7 +123,7 @@ impl Problems {
         if self.lines.contains(&(file, line)) {
             return;
         }
-        if self.lines.len() < MOST_LINES {
+        if self.lines.len() < MAX_LINES {
             self.lines.insert((file, line));
         }
         let is_same =

@@ -21,7 +21,7 @@ pub const TOLERANCE_MM: f64 = 0.0005;
 const DEEPEST: u32 = 12;
 
 /// Most control points of a NURBS.
-const MOST_POINTS: usize = 10_000;
+const MAX_POINTS: usize = 10_000;
 
 /// Largest order of a NURBS.
 const LARGEST_ORDER: f64 = 20.0;
@@ -451,10 +451,10 @@ impl Executor {
             word => word.map(|word| word.value),
         };
         let has_point = block.has_any(letters(b"XY"));
-        if self.control_points.len() >= MOST_POINTS {
+        if self.control_points.len() >= MAX_POINTS {
             return mistake(
                 at,
-                format!("a NURBS of more than {MOST_POINTS} points"),
+                format!("a NURBS of more than {MAX_POINTS} points"),
                 "divide it",
             );
         }

@@ -415,7 +415,7 @@ impl State {
 }
 
 /// Largest number of named parameters in one scope.
-const MOST_NAMES: usize = 10_000;
+const MAX_NAMES: usize = 10_000;
 
 fn bounded(
     names: &mut HashMap<String, f64>,
@@ -424,9 +424,9 @@ fn bounded(
 ) -> Result<(), (String, &'static str)> {
     if let Some(known) = names.get_mut(name) {
         *known = value;
-    } else if names.len() >= MOST_NAMES {
+    } else if names.len() >= MAX_NAMES {
         return Err((
-            format!("more than {MOST_NAMES} named parameters"),
+            format!("more than {MAX_NAMES} named parameters"),
             "use numbered parameters",
         ));
     } else {

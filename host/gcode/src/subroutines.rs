@@ -10,7 +10,7 @@ use super::source::{Fetched, Mark, Source};
 use std::collections::HashMap;
 
 /// Most files that a program may call.
-const MOST_FILES: usize = 100;
+const MAX_FILES: usize = 100;
 
 impl Interpreter<'_> {
     /// Calls a subroutine: with arguments for an O word, without for M98.
@@ -158,9 +158,9 @@ impl Interpreter<'_> {
                 "write it in this file: O100 sub ... O100 endsub",
             );
         }
-        if self.called.len() >= MOST_FILES {
+        if self.called.len() >= MAX_FILES {
             return mistake(
-                format!("more than {MOST_FILES} files are called"),
+                format!("more than {MAX_FILES} files are called"),
                 "put the subroutines into fewer files",
             );
         }

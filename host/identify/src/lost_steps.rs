@@ -174,7 +174,7 @@ impl StepLimits {
     #[must_use]
     pub fn next(&self) -> Option<Motion> {
         let [low, high] = self.bounds.rate;
-        let [gentle, most] = self.bounds.acceleration;
+        let [gentle, max] = self.bounds.acceleration;
         let scanned = self.rates.len();
         if scanned < SCAN {
             let part = scanned as f64 / (SCAN - 1) as f64;
@@ -192,8 +192,8 @@ impl StepLimits {
         let rate = self.working_rate()?;
         let at = |acceleration| Some(Motion { rate, acceleration });
         match self.accelerations.as_slice() {
-            [] => return at(most),
-            [first] if first.is_lost && gentle < most => return at(gentle),
+            [] => return at(max),
+            [first] if first.is_lost && gentle < max => return at(gentle),
             _ => {}
         }
         let acceleration = self.acceleration()?;
@@ -254,7 +254,7 @@ impl StepLimits {
         let [rate_unit, unit] = self.units();
         let [gentle, _] = self.bounds.acceleration;
         let say = |highest: Option<Highest>, unit: &str| match highest {
-            Some(Highest::NoLossUpTo(most)) => format!("no loss up to {most:.1} {unit}"),
+            Some(Highest::NoLossUpTo(max)) => format!("no loss up to {max:.1} {unit}"),
             Some(Highest::Between(kept, lost)) => {
                 format!("no loss at {kept:.1} {unit}, loss at {lost:.1} {unit}")
             }

@@ -188,7 +188,7 @@ fn step_joint(
         build_up: build_up(machine),
     };
     let gentle = line.acceleration;
-    let mut most = limits.rate * options.beyond;
+    let mut max = limits.rate * options.beyond;
     let mut lower = None;
     let step = per_step.unsigned_abs() as f64 / f64::from(1 << 24) / per_unit(axis.kind);
     let pulses = PULSES * step * 1e6 * f64::from(ticks_per_us) / (2.0 * f64::from(pulse));
@@ -208,18 +208,18 @@ fn step_joint(
         (range, "a machine file allows no higher rate"),
         (fixed, FIXED),
     ] {
-        if most > bound {
-            (most, lower) = (bound, Some(reason));
+        if max > bound {
+            (max, lower) = (bound, Some(reason));
         }
     }
-    while ramp(gentle).travel(most, CRUISE) > room && most > 1e-3 {
-        most *= 0.98;
+    while ramp(gentle).travel(max, CRUISE) > room && max > 1e-3 {
+        max *= 0.98;
         lower = Some(
             "a higher rate needs a longer travel; a larger --travel helps where there is room",
         );
     }
     let rate = f64::from(switch.rate.0) / per_unit(axis.kind);
-    if most < rate {
+    if max < rate {
         return Err(format!(
             "its travel of {room:.1} mm or degrees to each side of the home pose is too short to reach \
              the rate of homing"
@@ -230,7 +230,7 @@ fn step_joint(
         line,
         end: if switch.downwards { room } else { -room },
         bounds: Bounds {
-            rate: [LOWEST * most, most],
+            rate: [LOWEST * max, max],
             acceleration: [gentle, hardest],
         },
         lower,

@@ -119,34 +119,34 @@ impl Joint {
                 ..
             } = margins;
             if gain_db.is_nan() || gain_db < requirement.gain_db {
-                let least = requirement.gain_db;
+                let min = requirement.gain_db;
                 misses.push(format!(
-                    "gain margin{around} {gain_db:.1} dB, least {least} dB"
+                    "gain margin{around} {gain_db:.1} dB, least {min} dB"
                 ));
             }
             if phase_deg.is_nan() || phase_deg < requirement.phase_deg {
-                let least = requirement.phase_deg;
+                let min = requirement.phase_deg;
                 misses.push(format!(
-                    "phase margin{around} {phase_deg:.0} deg, least {least} deg"
+                    "phase margin{around} {phase_deg:.0} deg, least {min} deg"
                 ));
             }
             if peak.is_nan() || peak > requirement.peak {
-                let most = requirement.peak;
-                misses.push(format!("sensitivity{around} {peak:.2}, most {most}"));
+                let max = requirement.peak;
+                misses.push(format!("sensitivity{around} {peak:.2}, most {max}"));
             }
         }
         let driven = self.driven_peak(gains);
         if driven.is_nan() || driven > requirement.driven_peak {
-            let most = requirement.driven_peak;
+            let max = requirement.driven_peak;
             misses.push(format!(
-                "amplification from the setpoint to the driven mass {driven:.2}, most {most}"
+                "amplification from the setpoint to the driven mass {driven:.2}, most {max}"
             ));
         }
         let effort = self.count_effort(gains) / self.limit;
         if effort.is_nan() || effort > requirement.count_effort {
-            let most = requirement.count_effort * 100.0;
+            let max = requirement.count_effort * 100.0;
             misses.push(format!(
-                "effort of one count {:.1} % of the drive's limit, most {most} %",
+                "effort of one count {:.1} % of the drive's limit, most {max} %",
                 effort * 100.0
             ));
         }

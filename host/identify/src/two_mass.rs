@@ -47,7 +47,7 @@ pub const UNSEEN_DAMPING: f64 = 0.02;
 /// Ratio by which a mode must lower the sum of the weighted squares, or it is none.
 const GAIN: f64 = 2.5;
 /// Largest damping ratio of a mode.
-const MOST_DAMPING: f64 = 0.3;
+const MAX_DAMPING: f64 = 0.3;
 /// Smallest and largest share of the motor in a mode: beyond them peak and notch coincide.
 const SHARES: std::ops::RangeInclusive<f64> = 0.1..=0.9;
 /// Range of the notch of a mode: multiples of the lowest and the highest measured frequency.
@@ -199,7 +199,7 @@ impl TwoMass {
     /// Whether the mode is one that the points show, against one mass without a mode.
     fn is_shown(&self, points: &[Point], rigid: &Self, low: f64, high: f64) -> bool {
         self.cost(points) * GAIN < rigid.cost(points)
-            && self.mode_damping < MOST_DAMPING
+            && self.mode_damping < MAX_DAMPING
             && SHARES.contains(&self.motor_share)
             && (NOTCH[0] * low..=NOTCH[1] * high).contains(&self.antiresonance())
     }
@@ -237,7 +237,7 @@ impl TwoMass {
                 };
                 let found = start.descend(points);
                 let cost = found.cost(points);
-                if cost.is_finite() && best.is_none_or(|(least, _)| cost < least) {
+                if cost.is_finite() && best.is_none_or(|(min, _)| cost < min) {
                     best = Some((cost, found));
                 }
             }

@@ -110,8 +110,8 @@ fn loses(joint: &JointConfig, strokes: &[Stroke]) -> bool {
             for (side, force) in [magnet - screw, screw].into_iter().enumerate() {
                 let part = friction[side];
                 v[side] += STEP * (force - part * joint.viscous * v[side]) / masses[side];
-                let most: f64 = STEP * part * joint.coulomb / masses[side];
-                v[side] -= v[side].clamp(-most, most);
+                let max: f64 = STEP * part * joint.coulomb / masses[side];
+                v[side] -= v[side].clamp(-max, max);
                 x[side] += STEP * v[side];
             }
         }
@@ -242,7 +242,7 @@ fn resonance_of_a_motor_in_full_steps() -> Result<()> {
     };
     assert!((low..high).contains(&rate) && high / low < 2.1);
     // Above the resonance the motor is strong enough.
-    let most = found[0].bounds.rate[1];
-    assert_eq!(found[0].rate(), Some(Highest::NoLossUpTo(most)));
+    let max = found[0].bounds.rate[1];
+    assert_eq!(found[0].rate(), Some(Highest::NoLossUpTo(max)));
     Ok(())
 }

@@ -14,7 +14,7 @@ use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape, in
 use haptimill_volumetric::file::{self, Limits, NOT_TO_COMPENSATE};
 
 /// Largest number of nodes of an axis: all tables together have room for three such axes.
-pub const MOST_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
+pub const MAX_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
 
 /// Chain of a machine file without a section `[compensation]`: a table that moves along y, and a
 /// spindle along x, then z.
@@ -73,7 +73,7 @@ pub(super) fn read<'a>(
         Ok(errors) => {
             if let Some(what) = too_fine(&errors, &travel) {
                 let remedy = format!(
-                    "smooth the function, or give at most {MOST_NODES} evenly spaced nodes over \
+                    "smooth the function, or give at most {MAX_NODES} evenly spaced nodes over \
                      the travel to all functions of the axis"
                 );
                 section.report("errors", what, remedy);
@@ -231,9 +231,9 @@ fn nodes_of(errors: &ErrorSet, moving: Axis, (low, high): (f64, f64)) -> usize {
         let same = functions
             .iter()
             .all(|function| table(*function) == Some(*nodes));
-        even && same && (2..=MOST_NODES).contains(&nodes.len())
+        even && same && (2..=MAX_NODES).contains(&nodes.len())
     });
-    even.map_or(MOST_NODES, Vec::len)
+    even.map_or(MAX_NODES, Vec::len)
 }
 
 /// Describes a function that changes between the nodes of the controller's tables, so that
@@ -250,18 +250,18 @@ fn too_fine(errors: &ErrorSet, travel: &[(f64, f64); ERROR_AXES]) -> Option<Stri
         let at_places = places.iter().map(|at| table.value(*at, Approach::Any));
         let values: Vec<f64> = at_places.collect();
         let inside = table.nodes.iter().filter(|at| (low..=high).contains(at));
-        let (mut most, mut rest, mut place) = (0.0_f64, 0.0_f64, low);
+        let (mut max, mut rest, mut place) = (0.0_f64, 0.0_f64, low);
         for at in inside {
             let value = table.value(*at, Approach::Any);
             let off = (value - interpolate(&places, &values, *at)).abs();
-            most = most.max(value.abs());
+            max = max.max(value.abs());
             if off > rest {
                 (rest, place) = (off, *at);
             }
         }
         let small = SMALL_REST[usize::from(function.rotates)];
-        (rest > small.max(LARGEST_REST * most)).then(|| {
-            let (rest, most) = (1e3 * rest, 1e3 * most);
+        (rest > small.max(LARGEST_REST * max)).then(|| {
+            let (rest, max) = (1e3 * rest, 1e3 * max);
             let (scale, unit) = if function.rotates {
                 (1e3, "urad")
             } else {
@@ -271,7 +271,7 @@ fn too_fine(errors: &ErrorSet, travel: &[(f64, f64); ERROR_AXES]) -> Option<Stri
                 "{function} changes between the nodes of the controller, which are {pitch:.1} mm \
                  apart: at {place:.1} mm its table is off by {:.2} of {:.2} {unit}",
                 scale * rest,
-                scale * most
+                scale * max
             )
         })
     })

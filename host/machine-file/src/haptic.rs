@@ -68,7 +68,7 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
         feedback: feedback.unwrap_or_default(),
         fixture: fixture.unwrap_or(FixtureConfig {
             stiffness: 0,
-            most: Force::ZERO,
+            max: Force::ZERO,
         }),
         passivity: passivity.unwrap_or(PassivityConfig {
             surplus: 0,
@@ -208,11 +208,11 @@ fn read_feedback(section: Section<'_, '_>) -> ForceFeedback {
         (row::y_percent, row::y_limit_n),
         (row::z_percent, row::z_limit_n),
     ];
-    for (axis, (percent, most)) in axes.iter_mut().zip(rows) {
-        let (percent, most) = (section.value(percent), section.value(most));
+    for (axis, (percent, max)) in axes.iter_mut().zip(rows) {
+        let (percent, max) = (section.value(percent), section.value(max));
         *axis = ForceFeedbackAxis {
             percent: to_u16(percent).min(100) as u8,
-            limit: force(most).0,
+            limit: force(max).0,
         };
     }
     let damping = section.value(keys::feedback::damping_n_s_per_mm);
@@ -227,11 +227,11 @@ fn read_feedback(section: Section<'_, '_>) -> ForceFeedback {
 
 fn read_fixture(section: Section<'_, '_>) -> FixtureConfig {
     let stiffness = section.value(keys::fixture::stiffness_n_per_mm);
-    let most = section.value(keys::fixture::limit_n);
+    let max = section.value(keys::fixture::limit_n);
     section.finish();
     FixtureConfig {
         stiffness: to_u32(stiffness * PER_EFFORT),
-        most: force(most),
+        max: force(max),
     }
 }
 

@@ -116,12 +116,12 @@ fn read_switch(
         );
     }
     let stroke = place.high - place.low;
-    let most = match place.kind {
+    let max = match place.kind {
         AxisKind::Linear => 1900.0,
         AxisKind::Rotary => 166.0,
         AxisKind::MultiTurn => 170_000.0,
     };
-    let usual = (1.2 * stroke + 2.0 * release).min(most);
+    let usual = (1.2 * stroke + 2.0 * release).min(max);
     let travel = section.value_or(keys::travel, Some(usual));
     check_switch(section, place, (at, back_off, downwards));
     let unit = unit(place.kind);

@@ -64,25 +64,25 @@ pub fn remedy_of(path: &Path, error: &io::Error) -> &'static str {
 ///
 /// # Errors
 ///
-/// Returns an error if the file cannot be opened or read, is larger than `most` bytes, or is a pipe
+/// Returns an error if the file cannot be opened or read, is larger than `max` bytes, or is a pipe
 /// that does not end.
-pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
+pub fn read(path: &Path, max: u64) -> Result<Vec<u8>, ReadError> {
     let kind = path.metadata().map_err(|error| ReadError {
         remedy: remedy_of(path, &error),
         ..ReadError::from(error)
     })?;
-    if kind.is_file() && kind.len() > most {
-        return Err(too_large(most));
+    if kind.is_file() && kind.len() > max {
+        return Err(too_large(max));
     }
     if kind.is_file() || kind.is_dir() {
-        return read_bounded(File::open(path)?, most);
+        return read_bounded(File::open(path)?, max);
     }
     // Opening or reading a pipe may block for ever; the thread ends with the process.
     let path = path.to_path_buf();
     let (sender, receiver) = sync_channel(1);
     std::thread::spawn(move || {
         let read = File::open(path).map_err(ReadError::from);
-        let _ = sender.send(read.and_then(|file| read_bounded(file, most)));
+        let _ = sender.send(read.and_then(|file| read_bounded(file, max)));
     });
     receiver.recv_timeout(PIPE).unwrap_or_else(|_| {
         Err(ReadError {
@@ -99,18 +99,18 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_bounded(source: impl Read, most: u64) -> Result<Vec<u8>, ReadError> {
+pub fn read_bounded(source: impl Read, max: u64) -> Result<Vec<u8>, ReadError> {
     let mut bytes = Vec::new();
-    source.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
-        return Err(too_large(most));
+    source.take(max + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max {
+        return Err(too_large(max));
     }
     Ok(bytes)
 }
 
-fn too_large(most: u64) -> ReadError {
+fn too_large(max: u64) -> ReadError {
     ReadError {
-        what: format!("cannot be read: it is larger than {} MiB", most >> 20),
+        what: format!("cannot be read: it is larger than {} MiB", max >> 20),
         remedy: "check that it is the right file",
     }
 }

@@ -156,14 +156,14 @@ pub(super) fn read(root: &Section<'_, '_>, period_us: f64) -> (IoConfig, IoNames
     (config, names)
 }
 
-/// The sections of an optional list of at most `most` entries.
-fn list<'d, 'i>(root: &Section<'d, 'i>, key: &'static str, most: usize) -> Vec<Section<'d, 'i>> {
+/// The sections of an optional list of at most `max` entries.
+fn list<'d, 'i>(root: &Section<'d, 'i>, key: &'static str, max: usize) -> Vec<Section<'d, 'i>> {
     if !root.has(key) {
         return Vec::new();
     }
     let sections = root.list(key);
-    if sections.len() > most {
-        let what = format!("has {} sections, allowed are {most}", sections.len());
+    if sections.len() > max {
+        let what = format!("has {} sections, allowed are {max}", sections.len());
         root.report(key, what, "remove some");
     }
     sections
@@ -305,14 +305,14 @@ fn read_analog_output(
     analog: &AnalogName,
 ) -> AnalogOutputConfig {
     let ends = [analog.value(i16::MIN), analog.value(i16::MAX)];
-    let (least, most) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+    let (min, max) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
     let range = if analog.full_scale.is_nan() {
         real(-1e9, 1e9, "")
     } else {
-        real(least, most, "")
+        real(min, max, "")
     };
-    let low = section.number_or("low", least, range);
-    let high = section.number_or("high", most, range);
+    let low = section.number_or("low", min, range);
+    let high = section.number_or("high", max, range);
     let safe = section.number("safe", range);
     if low > high {
         section.report("high", "is below `low`", "exchange them");

@@ -216,16 +216,16 @@ fn check_scales(
                 turned,
                 reversed,
             );
-            for (key, of, ticks, least) in [
+            for (key, of, ticks, min) in [
                 ("min_high_ns", "pulse_us", *pulse, drive.min_high_ns),
                 ("min_low_ns", "pulse_us", *pulse, drive.min_low_ns),
                 ("setup_ns", "setup_us", *setup, drive.setup_ns),
                 ("hold_ns", "hold_us", *hold, drive.hold_ns),
             ] {
                 let sent = f64::from(ticks) / f64::from(*ticks_per_us) * 1e3;
-                if sent < least {
+                if sent < min {
                     let what = format!(
-                        "the simulated drive needs {least} ns, the controller has {sent:.0} ns"
+                        "the simulated drive needs {min} ns, the controller has {sent:.0} ns"
                     );
                     let remedy = format!("correct it, or raise {of} in [[joint]]");
                     report(&format!("drive: steps: {key}"), what, &remedy);

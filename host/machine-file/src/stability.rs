@@ -53,7 +53,7 @@ pub fn spectral_radius(gains: Gains, period: f64) -> f64 {
         let norm = power
             .iter()
             .flatten()
-            .fold(0.0_f64, |most, entry| most.max(entry.abs()));
+            .fold(0.0_f64, |max, entry| max.max(entry.abs()));
         if norm == 0.0 || !norm.is_finite() {
             return if norm == 0.0 { 0.0 } else { f64::INFINITY };
         }

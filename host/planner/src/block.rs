@@ -56,7 +56,7 @@ pub(crate) struct Block {
     /// Limits along the path.
     pub along: Along,
     /// Maximum speed without the feed.
-    pub most: f64,
+    pub max: f64,
     /// Derivatives of pose and joints by length, at start and end.
     pub tangents: [Coordinates; 2],
     pub joint_tangents: [[f64; 6]; 2],
@@ -373,7 +373,7 @@ fn examine(
         limits.speed = feed / 60.0;
     }
     limits.limit_joints();
-    let (along, most) = limits.along(path);
+    let (along, max) = limits.along(path);
     let allowed = limits.speed.min(limits.rate_speed);
     let block = Block {
         place: step.place,
@@ -389,7 +389,7 @@ fn examine(
         tolerance: step.tolerance,
         turns: 1.0,
         along,
-        most,
+        max,
         tangents,
         joint_tangents,
         machine_tangents,
@@ -457,8 +457,8 @@ impl<'a> Search<'a> {
             bounds(self.settings, &self.joints, &self.machine)
         {
             if first > 1e-12 {
-                let most = JOINT_RAMP_SHARE * acceleration / first;
-                self.acceleration = self.acceleration.min(most);
+                let max = JOINT_RAMP_SHARE * acceleration / first;
+                self.acceleration = self.acceleration.min(max);
             }
         }
         self.joint_speed = joint_speed(bounds(self.settings, &self.joints, &self.machine));
@@ -466,16 +466,16 @@ impl<'a> Search<'a> {
 
     /// Whether the limits of the machine lower the programmed feed.
     fn is_slowed(&self) -> bool {
-        let most = self.rate_speed.min(self.joint_speed);
+        let max = self.rate_speed.min(self.joint_speed);
         // A feed at the limit is not lowered, whatever its rounding.
-        self.speed < f64::INFINITY && most < self.speed * (1.0 - 1e-9)
+        self.speed < f64::INFINITY && max < self.speed * (1.0 - 1e-9)
     }
 
     /// Returns the limits along the path, and the maximum speed without the feed.
     fn along(&self, path: &Path) -> (Along, f64) {
-        let mut most = self.rate_speed.min(self.joint_speed);
+        let mut max = self.rate_speed.min(self.joint_speed);
         let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);
-        let mut speed = self.speed.min(most);
+        let mut speed = self.speed.min(max);
         if let Some(arc) = &path.arc {
             let axes = arc.plane.map(|k| &self.settings.pose[k]);
             let plane_acceleration =
@@ -484,24 +484,24 @@ impl<'a> Search<'a> {
             let turn = (arc.sweep / path.length).abs();
             let share = turn * arc.radius[0].max(arc.radius[1]);
             let curvature = share * turn;
-            most = most
+            max = max
                 .min((CENTRIPETAL_SHARE * plane_acceleration / curvature).sqrt())
                 .min(libm::cbrt(ARC_SPEED_JERK * plane_jerk / (curvature * turn)));
-            speed = speed.min(most);
+            speed = speed.min(max);
             acceleration = acceleration
                 .min(TANGENTIAL_SHARE * plane_acceleration / share)
                 .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
             jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
         }
-        for ([_, _, most], [first, second, third]) in
+        for ([_, _, max], [first, second, third]) in
             bounds(self.settings, &self.joints, &self.machine)
         {
             let across = 3.0 * second * speed;
             if across > 1e-9 {
-                acceleration = acceleration.min(JOINT_ACROSS_JERK * most / across);
+                acceleration = acceleration.min(JOINT_ACROSS_JERK * max / across);
             }
             if first > 1e-12 {
-                let rest = JERK_SHARE * most - across * acceleration;
+                let rest = JERK_SHARE * max - across * acceleration;
                 let rest = rest - third * speed * speed * speed;
                 jerk = jerk.min(rest / first);
             }
@@ -514,6 +514,6 @@ impl<'a> Search<'a> {
             jerk: jerk.min(acceleration / hold),
             hold,
         };
-        (along, most)
+        (along, max)
     }
 }

@@ -196,9 +196,9 @@ impl Corner {
             }
             self.bend[k] = step;
             squared += step * step;
-            let most = settings.curvature_step * axis.acceleration / step.abs();
-            self.speed = self.speed.min(most.sqrt());
-            self.bend_speed = self.bend_speed.min(most.sqrt());
+            let max = settings.curvature_step * axis.acceleration / step.abs();
+            self.speed = self.speed.min(max.sqrt());
+            self.bend_speed = self.bend_speed.min(max.sqrt());
             let jerk = BEND_JERK_SHARE * axis.jerk;
             self.per_square = self.per_square.max(2.0 * BEND_SLOPE * step.abs() / jerk);
         }
@@ -222,9 +222,9 @@ impl Corner {
                 .iter()
                 .map(|at| (axis.high - at[k]).min(at[k] - axis.low));
             let distance = distances.fold(f64::INFINITY, f64::min);
-            let most = distance.max(0.5 * axis.limit_tolerance());
-            if BEND_VALUE * step * (0.5 * self.largest).powi(2) > most {
-                let half = (most / (BEND_VALUE * step)).sqrt();
+            let max = distance.max(0.5 * axis.limit_tolerance());
+            if BEND_VALUE * step * (0.5 * self.largest).powi(2) > max {
+                let half = (max / (BEND_VALUE * step)).sqrt();
                 self.largest = self.largest.min(2.0 * half);
             }
         }
@@ -237,14 +237,10 @@ impl Corner {
 
     /// Returns the largest factor of a speed for which the limits hold on the rounding of that
     /// speed. Accelerations grow with its square, jerks with its cube.
-    pub(crate) fn most(&self, speed: f64) -> f64 {
+    pub(crate) fn max_factor(&self, speed: f64) -> f64 {
         let time = self.time(speed);
-        let ratio = |least: f64| {
-            if least > 0.0 {
-                time / least
-            } else {
-                f64::INFINITY
-            }
+        let ratio = |min: f64| {
+            if min > 0.0 { time / min } else { f64::INFINITY }
         };
         let acceleration = ratio(self.per_speed * speed).sqrt();
         let jerk = libm::cbrt(ratio(self.per_root * speed.sqrt()));
@@ -259,14 +255,14 @@ impl Corner {
 
     /// Returns the duration of the rounding at a speed, 0 without rounding.
     fn time(&self, speed: f64) -> f64 {
-        let least = (self.per_speed * speed)
+        let min = (self.per_speed * speed)
             .max(self.per_root * speed.sqrt())
             .max(self.per_square * speed * speed);
-        if least <= 0.0 {
+        if min <= 0.0 {
             return 0.0;
         }
-        // At the maximum speed a rounding error may leave `least` slightly above the largest
+        // At the maximum speed a rounding error may leave `min` slightly above the largest
         // duration.
-        least.max(self.preferred.min(self.largest / speed))
+        min.max(self.preferred.min(self.largest / speed))
     }
 }

@@ -12,7 +12,7 @@ use super::limits::Settings;
 use haptimill_gcode::{Arc, Coordinates, Feed, Measure, Move, Path, WordKind};
 
 /// Most moves of a joined path: a new move is compared with all of them.
-const MOST: usize = 256;
+const MAX: usize = 256;
 /// Largest length of a move that is joined, mm; a longer one limits no speed.
 const LONGEST_MM: f64 = 2.0;
 /// Largest duration of a joined path at its feed, seconds: its setpoints wait for all of its moves.
@@ -127,7 +127,7 @@ impl Joining {
             && step.tool == first.tool
             && step.place.file == first.place.file
             && step.path.from == joined.whole.path.to
-            && joined.moves.len() < MOST;
+            && joined.moves.len() < MAX;
         let Feed::PerMinute(feed) = step.feed else {
             return false;
         };
@@ -224,7 +224,7 @@ fn arc_through(
         (x.hypot(y), y.atan2(x))
     };
     let (radius, angle) = polar(ends[0]);
-    let most = ARC_SHARE * within.mm;
+    let max = ARC_SHARE * within.mm;
     let mut sweep = 0.0f64;
     let mut angles = Vec::with_capacity(moves.len());
     for step in moves {
@@ -236,7 +236,7 @@ fn arc_through(
         let is_onward = turned * sweep >= 0.0 && turned.abs() <= LARGEST_STEP;
         let is_near = [b, middle]
             .iter()
-            .all(|at| (polar(*at).0 - radius).abs() <= most);
+            .all(|at| (polar(*at).0 - radius).abs() <= max);
         if !is_onward || !is_near {
             return None;
         }
@@ -255,13 +255,13 @@ fn arc_through(
         for k in 0..6 {
             let slope = (to[k] - from[k]) / sweep;
             let off = step.path.to[k] - from[k] - slope * angle;
-            let most = match k {
+            let max = match k {
                 _ if plane.contains(&k) => continue,
-                _ if k == *axis => most,
+                _ if k == *axis => max,
                 _ if kinds.get(k) == Some(&WordKind::Rotary) => within.degrees,
                 _ => 0.0,
             };
-            if off.abs() + between * slope.abs() > most {
+            if off.abs() + between * slope.abs() > max {
                 return None;
             }
         }

@@ -103,22 +103,22 @@ impl ModeFinder {
             }) = end;
         });
         let (feeds, rapids) = (*feed_until > from + slack, *rapid_until > from + slack);
-        let mut most = 100;
+        let mut max = 100;
         for ((window, low_until), percent) in self.levels.iter_mut().zip(LEVELS) {
             let is_known = advance(window, &mut |piece, end| {
-                if trajectory.pieces[piece].most < percent {
+                if trajectory.pieces[piece].max < percent {
                     *low_until = end;
                 }
             });
             if is_known && *low_until <= from {
-                most = percent;
+                max = percent;
             }
         }
         match (feeds, rapids) {
             _ if !is_known => OverrideMode::FEED_AND_RAPID,
             (true, true) => OverrideMode::FEED_AND_RAPID,
             (false, true) => OverrideMode::RAPID,
-            _ => OverrideMode::feed_up_to(most),
+            _ => OverrideMode::feed_up_to(max),
         }
     }
 }

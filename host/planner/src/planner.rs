@@ -20,7 +20,7 @@ use haptimill_protocol::message::Action;
 /// blocks that follow.
 const FULL_WINDOW: usize = 8192;
 /// The same where each of them has many joined moves.
-const MOST_JOINED: usize = 32_768;
+const MAX_JOINED: usize = 32_768;
 /// The first one, so that a stream starts early.
 const FIRST_WINDOW: usize = 256;
 
@@ -371,8 +371,8 @@ impl<M: MachineModel> Planner<M> {
                 remedy: "change S, or min_rpm and max_rpm in [spindle] of the machine file".into(),
             });
         }
-        let [least, most] = self.figures.spindle_rpm.unwrap_or([speed; 2]);
-        self.figures.spindle_rpm = Some([least.min(speed), most.max(speed)]);
+        let [min, max] = self.figures.spindle_rpm.unwrap_or([speed; 2]);
+        self.figures.spindle_rpm = Some([min.min(speed), max.max(speed)]);
         Ok(rpm)
     }
 
@@ -452,7 +452,7 @@ impl<M: MachineModel> Planner<M> {
             block.messages = messages;
             self.run.push(block, &self.settings);
         }
-        if self.run.blocks.len() < self.window && self.run.joined < MOST_JOINED {
+        if self.run.blocks.len() < self.window && self.run.joined < MAX_JOINED {
             return Ok(());
         }
         let count = self.run.blocks.len() / 2;

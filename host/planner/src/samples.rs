@@ -180,9 +180,9 @@ mod tests {
                     truth[1] = truth[1].max(across.abs() / radius);
                     truth[2] = truth[2].max(along.abs() / (radius * radius));
                 }
-                let most = weights[0].hypot(weights[1]);
+                let max = weights[0].hypot(weights[1]);
                 prop_assert!(largest[0] >= truth[0] * (1.0 - 1e-4), "{largest:?} {truth:?}");
-                prop_assert!(largest[0] <= truth[0] + 2e-4 * most, "{largest:?} {truth:?}");
+                prop_assert!(largest[0] <= truth[0] + 2e-4 * max, "{largest:?} {truth:?}");
                 // A half circle has the peaks of all derivatives within its samples.
                 if sweep.abs() > 3.6 {
                     prop_assert!(largest[1] >= truth[1] * (1.0 - 1e-3), "{largest:?} {truth:?}");

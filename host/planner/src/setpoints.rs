@@ -299,8 +299,8 @@ impl Emitter {
         model: &impl MachineModel,
     ) -> Result<(), Problem> {
         let periods = to - from;
-        let most = ((span / self.period).floor() as u64).clamp(1, LONGEST_REST);
-        let count = periods.div_ceil(most);
+        let max = ((span / self.period).floor() as u64).clamp(1, LONGEST_REST);
+        let count = periods.div_ceil(max);
         let mut result = Ok(());
         for index in 1..=count {
             let start = from + periods * (index - 1) / count;

@@ -35,7 +35,7 @@ pub(crate) struct Piece {
     /// Reason for a setpoint at its start.
     pub knot: Knot,
     /// Largest factor of its speed for which the limits hold, percent, at most 200.
-    pub most: u8,
+    pub max: u8,
 }
 
 impl Piece {
@@ -50,7 +50,7 @@ impl Piece {
             longest: f64::INFINITY,
             path,
             knot: Knot::None,
-            most: 100,
+            max: 100,
         }
     }
 

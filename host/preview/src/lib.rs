@@ -15,7 +15,7 @@ use trace::{Point, Trace};
 /// Largest change of direction between two points of the drawn path, degrees.
 const TURN_DEG: f64 = 2.0;
 /// Most points of the drawn path between two setpoints.
-const MOST_POINTS: f64 = 64.0;
+const MAX_POINTS: f64 = 64.0;
 
 /// Stroke of a joint: mm, or degrees.
 #[derive(Debug, Clone, PartialEq)]
@@ -226,7 +226,7 @@ impl<M: MachineModel> Preview<M> {
             }
         };
         let turn = angle(&directions[0], &directions[1]) + angle(&directions[1], &directions[2]);
-        (turn / TURN_DEG).ceil().clamp(1.0, MOST_POINTS) as u32
+        (turn / TURN_DEG).ceil().clamp(1.0, MAX_POINTS) as u32
     }
 
     fn tip_of(&self, values: &Coordinates) -> [f64; 3] {

@@ -101,7 +101,7 @@ fn layer(name: &str, colour: &str, trace: &Trace, width: f32) -> Layer {
 pub(super) fn scene<M: MachineModel>(preview: &Preview<M>) -> Scene {
     let feeds = preview.cut.points.iter().map(|point| point.speed * 60.0);
     let feeds: Vec<f64> = feeds.collect();
-    let high = feeds.iter().fold(0.0_f64, |most, feed| most.max(*feed));
+    let high = feeds.iter().fold(0.0_f64, |max, feed| max.max(*feed));
     let scale = Scale {
         label: "feed, mm/min".into(),
         low: 0.0,

@@ -157,9 +157,9 @@ fn a_longer_tool_is_drawn_at_its_tip() {
         assert!(y.abs() < 1e-3 && (z - 10.0).abs() < 1e-3, "{y} {z}");
     }
     let feeds = cut.values.as_ref().expect("feeds");
-    let most = feeds
+    let max = feeds
         .values
         .iter()
-        .fold(0.0_f32, |most, feed| most.max(*feed));
-    assert!((400.0..500.5).contains(&most), "{most}");
+        .fold(0.0_f32, |max, feed| max.max(*feed));
+    assert!((400.0..500.5).contains(&max), "{max}");
 }

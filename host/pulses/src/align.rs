@@ -48,7 +48,7 @@ pub(crate) fn offset(tracks: &[Track<'_>], clock: Clock, tolerance: i64) -> Opti
     let mut best = None;
     for (_, _, offset) in places {
         let score = matches(offset);
-        if best.is_none_or(|(most, _)| score > most) {
+        if best.is_none_or(|(max, _)| score > max) {
             best = Some((score, offset));
         }
     }

@@ -7,7 +7,7 @@ use std::io::BufRead;
 use vcd::{Command, IdCode, Parser, ScopeItem, Value};
 
 /// Largest number of level changes that a capture holds.
-const MOST_CHANGES: usize = 100_000_000;
+const MAX_CHANGES: usize = 100_000_000;
 
 /// A digital line.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -106,7 +106,7 @@ impl fmt::Display for CaptureError {
             ),
             Self::TooLarge => write!(
                 out,
-                "the file has more than {MOST_CHANGES} level changes; export a shorter part"
+                "the file has more than {MAX_CHANGES} level changes; export a shorter part"
             ),
             Self::NoSignals => write!(out, "the header declares no line of one bit"),
         }
@@ -161,7 +161,7 @@ impl Capture {
                         changes += 1;
                         change(&mut lines[*at], value, now, line)?;
                     }
-                    if changes > MOST_CHANGES {
+                    if changes > MAX_CHANGES {
                         return Err(CaptureError::TooLarge);
                     }
                 }

@@ -259,7 +259,7 @@ fn measure(
     enable: Option<&Signal>,
     rules: &Rules,
 ) {
-    let least = |smallest: &mut Option<i64>, value: i64| {
+    let min = |smallest: &mut Option<i64>, value: i64| {
         *smallest = Some(smallest.map_or(value, |before| before.min(value)));
     };
     let mut last_fall = None;
@@ -272,14 +272,14 @@ fn measure(
         }
         if let Some(fall) = last_fall {
             let pause = rise - fall;
-            least(&mut report.shortest_pause, pause);
+            min(&mut report.shortest_pause, pause);
             if pause < rules.pause {
                 report.add(FaultKind::ShortPause, rise, pause, None);
             }
         }
         if let Some(change) = changes.checked_sub(1).map(|at| axis.direction.changes[at]) {
             let setup = rise - change;
-            least(&mut report.shortest_setup, setup);
+            min(&mut report.shortest_setup, setup);
             if setup < rules.setup {
                 report.add(FaultKind::Setup, rise, setup, None);
             }
@@ -287,13 +287,13 @@ fn measure(
         let Some(fall) = fall else { continue };
         last_fall = Some(fall);
         let width = fall - rise;
-        least(&mut report.shortest_width, width);
+        min(&mut report.shortest_width, width);
         if width < rules.width {
             report.add(FaultKind::Narrow, rise, width, None);
         }
         if let Some(change) = axis.direction.changes.get(changes) {
             let hold = change - fall;
-            least(&mut report.shortest_hold, hold);
+            min(&mut report.shortest_hold, hold);
             if hold < rules.hold {
                 report.add(FaultKind::Hold, *change, hold, None);
             }

@@ -10,7 +10,7 @@ const ROW: f64 = 34.0;
 const LEVEL: f64 = 20.0;
 const TOP: f64 = 16.0;
 /// Largest number of level changes of a line that are drawn.
-const MOST_CHANGES: usize = 4000;
+const MAX_CHANGES: usize = 4000;
 
 /// Draws the lines between two times, in fs, as SVG. `marks` are commanded times of the line with
 /// the same index, drawn as ticks below it.
@@ -40,9 +40,9 @@ pub fn picture(
         let y = |level: bool| if level { low - LEVEL } else { low };
         let first = signal.changes_until(from);
         let end = signal.changes_until(to);
-        if end - first > MOST_CHANGES {
+        if end - first > MAX_CHANGES {
             return Err(format!(
-                "'{}' changes {} times in this part; a picture can show {MOST_CHANGES}, so choose a shorter one",
+                "'{}' changes {} times in this part; a picture can show {MAX_CHANGES}, so choose a shorter one",
                 signal.name,
                 end - first
             ));
@@ -94,11 +94,11 @@ pub fn picture(
 }
 
 /// The next larger of 1, 2, 5 times a power of ten.
-fn round_step(least: i64) -> i64 {
+fn round_step(min: i64) -> i64 {
     let mut power = 1;
     loop {
         for digit in [1, 2, 5] {
-            if digit * power >= least {
+            if digit * power >= min {
                 return digit * power;
             }
         }

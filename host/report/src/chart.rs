@@ -266,8 +266,8 @@ impl Chart {
             }
             let span = range.1 - range.0;
             // The resolution of a coordinate is 1e-6 mm.
-            let least = 1e-6 * range.0.abs().max(range.1.abs()).max(1.0);
-            widen(range, least.max(span));
+            let min = 1e-6 * range.0.abs().max(range.1.abs()).max(1.0);
+            widen(range, min.max(span));
         }
         let margin = 0.06 * (y.1 - y.0);
         y.1 += margin;

@@ -54,7 +54,7 @@ impl Process {
             force_rms_n: force.map(super::Spread::rms),
             force_max_time_s: force.map(|force| (force.max_time_s - begin).max(0.0)),
             force_max_line: force.map(|force| force.max_line),
-            displacement_max_mm: Some(statistics.displacement.max).filter(|most| *most > 0.0),
+            displacement_max_mm: Some(statistics.displacement.max).filter(|max| *max > 0.0),
             spindle_rpm: Some(statistics.spindle_rpm)
                 .filter(|speed| *speed > 0)
                 .or(outcome.spindle_rpm),
@@ -66,7 +66,7 @@ impl Process {
     /// Rows of the table of figures; a text is empty where the job has none.
     pub(super) fn rows(&self, is_true: bool) -> [(&'static str, String); 5] {
         let force = match (self.force_rms_n, self.force_max_n) {
-            (Some(rms), Some(most)) => format!("{rms:.3} / {most:.3} N"),
+            (Some(rms), Some(max)) => format!("{rms:.3} / {max:.3} N"),
             _ => String::new(),
         };
         let text = |value: Option<f64>, decimals: usize, unit: &str| {
@@ -106,7 +106,7 @@ impl Process {
     /// Lines for the terminal; none without force, spindle and cut.
     pub(super) fn terminal(&self, is_true: bool) -> String {
         let mut text = String::new();
-        if let (Some(most), Some(rms)) = (self.force_max_n, self.force_rms_n) {
+        if let (Some(max), Some(rms)) = (self.force_max_n, self.force_rms_n) {
             let line = match self.force_max_line {
                 None | Some(0) => String::new(),
                 Some(line) => format!(", line {line}"),
@@ -117,7 +117,7 @@ impl Process {
                 false => "peak force per revolution (measured)",
             };
             text.push_str(&format!(
-                "{what}: {most:.2} N largest (at {time:.2} s{line}), {rms:.2} N rms"
+                "{what}: {max:.2} N largest (at {time:.2} s{line}), {rms:.2} N rms"
             ));
             if let Some(displacement) = self.displacement_max_mm {
                 text.push_str(&format!(

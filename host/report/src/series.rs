@@ -49,7 +49,7 @@ impl Columns {
     /// Largest magnitude of all values.
     pub fn largest(&self) -> f64 {
         let all = self.columns.iter().flatten().flatten();
-        all.fold(0.0, |most, value| most.max(value.abs()))
+        all.fold(0.0, |max, value| max.max(value.abs()))
     }
 
     /// Line through the extremes, interrupted where values are missing. Times count from `begin`.
@@ -109,7 +109,7 @@ impl PathPoints {
     pub fn add(&mut self, programmed: [f64; 3], tool: [f64; 3]) {
         let pair = [programmed, tool];
         let error = super::contour::distance(&programmed, &tool);
-        if self.best.is_none_or(|(most, _)| error > most) {
+        if self.best.is_none_or(|(max, _)| error > max) {
             self.best = Some((error, pair));
         }
         let far = |last: [f64; 3]| {

@@ -117,9 +117,9 @@ impl Latency {
             return;
         };
         let expected = std::array::from_fn(|axis| {
-            let most = f64::from(law.axes[axis].limit) / 65_536.0;
+            let max = f64::from(law.axes[axis].limit) / 65_536.0;
             let share = f64::from(force[axis]) / 64.0 * f64::from(law.axes[axis].percent) / 100.0;
-            share.clamp(-most, most)
+            share.clamp(-max, max)
         });
         // A force other than the newest one belongs to an earlier measurement.
         if force != self.measured.0 || force == self.sent {

@@ -65,7 +65,7 @@ struct Ring {
 }
 
 /// Events of a recording of the last control periods at most.
-const MOST_EVENTS: usize = 10_000;
+const MAX_EVENTS: usize = 10_000;
 
 /// The file of the control periods before those of the present one.
 #[must_use]
@@ -195,7 +195,7 @@ impl Recorder {
     /// Records an event; `level` is 0 for information, 1 for a warning, 2 for an error.
     pub fn event(&mut self, period: u64, level: u8, text: &str) {
         if let Some(ring) = &mut self.ring
-            && ring.events.len() < MOST_EVENTS
+            && ring.events.len() < MAX_EVENTS
         {
             ring.events.push((period, level, text.to_string()));
         }

@@ -47,7 +47,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Connections at most, viewers and those under way.
-pub const MOST_CONNECTIONS: usize = 32;
+pub const MAX_CONNECTIONS: usize = 32;
 
 /// Age of the state that a command answers, at most.
 pub const FRESH: Duration = Duration::from_millis(2000);
@@ -56,7 +56,7 @@ pub const FRESH: Duration = Duration::from_millis(2000);
 pub const FRESH_JOG: Duration = Duration::from_millis(500);
 
 /// Commands that wait for the owner at most.
-const MOST_COMMANDS: usize = 256;
+const MAX_COMMANDS: usize = 256;
 
 /// Time between two looks for a new connection.
 const ACCEPT: Duration = Duration::from_millis(10);
@@ -243,7 +243,7 @@ impl Counted {
     fn new(shared: &Arc<Shared>) -> Option<Self> {
         let count = shared.connections.fetch_add(1, Ordering::SeqCst);
         let counted = Self(Arc::clone(shared));
-        (count < MOST_CONNECTIONS).then_some(counted)
+        (count < MAX_CONNECTIONS).then_some(counted)
     }
 }
 
@@ -267,7 +267,7 @@ impl Server {
     pub fn bind(config: Config) -> io::Result<Self> {
         let listener = TcpListener::bind(config.listen)?;
         listener.set_nonblocking(true)?;
-        let (sender, commands) = sync_channel(MOST_COMMANDS);
+        let (sender, commands) = sync_channel(MAX_COMMANDS);
         let shared = Arc::new(Shared {
             started: Instant::now(),
             address: listener.local_addr()?,
@@ -388,7 +388,7 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
         let Some(counted) = Counted::new(shared) else {
             refuse_busy(stream);
             shared.warn(format!(
-                "{}: refused, {MOST_CONNECTIONS} connections are open; close a page",
+                "{}: refused, {MAX_CONNECTIONS} connections are open; close a page",
                 peer.ip()
             ));
             continue;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub const LONGEST: usize = 8 << 20;
 
 /// Names in a list at most.
-const MOST_LISTED: usize = 1000;
+const MAX_LISTED: usize = 1000;
 
 /// Length of a name at most, bytes.
 const LONGEST_NAME: usize = 100;
@@ -57,7 +57,7 @@ pub fn list(folder: &Path) -> Vec<String> {
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
     let mut names: Vec<String> = names.filter(|name| find(folder, name).is_ok()).collect();
     names.sort();
-    names.truncate(MOST_LISTED);
+    names.truncate(MAX_LISTED);
     names
 }
 

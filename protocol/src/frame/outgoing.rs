@@ -112,12 +112,12 @@ impl OutgoingFrame {
     }
 
     /// Copies the next bytes to `buffer` and returns their number. It is less than the buffer's
-    /// length at the end of the frame, and when more than `most` bytes of content would have to be
+    /// length at the end of the frame, and when more than `max` bytes of content would have to be
     /// encoded.
-    pub fn read(&mut self, buffer: &mut [u8], most: usize) -> usize {
-        let mut most = most;
-        while self.code_at - self.gone < buffer.len() && self.code_at <= self.end && most > 0 {
-            most -= self.stuff(most);
+    pub fn read(&mut self, buffer: &mut [u8], max: usize) -> usize {
+        let mut max = max;
+        while self.code_at - self.gone < buffer.len() && self.code_at <= self.end && max > 0 {
+            max -= self.stuff(max);
         }
         let count = buffer.len().min(self.code_at - self.gone);
         let ready = self.bytes.0.get(self.gone..self.gone + count);
@@ -130,8 +130,8 @@ impl OutgoingFrame {
 
     /// Encodes COBS in place: each zero, and the place in front, becomes the distance to the next
     /// one. A code is inserted after 254 bytes without a zero. Encodes up to that point, the check
-    /// or the end, but at most `most` bytes, and returns how many.
-    fn stuff(&mut self, most: usize) -> usize {
+    /// or the end, but at most `max` bytes, and returns how many.
+    fn stuff(&mut self, max: usize) -> usize {
         let from = self.at;
         if from == self.check_at {
             let check = (!self.register ^ self.key).to_le_bytes();
@@ -145,7 +145,7 @@ impl OutgoingFrame {
         } else {
             self.end
         };
-        let until = until.min(from.saturating_add(most));
+        let until = until.min(from.saturating_add(max));
         let (mut at, mut register) = (from, self.register);
         let (mut code_at, mut run) = (self.code_at, self.run);
         let looked = self.bytes.0.get_mut(..until).unwrap_or_default();

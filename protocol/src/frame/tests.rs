@@ -70,15 +70,15 @@ proptest! {
         let mut outgoing = OutgoingFrame::default();
         outgoing.begin(header, &payload, session, zero_first).unwrap();
         let (mut made, mut looked_at) = (StdVec::new(), 0);
-        for (room, most) in pieces.iter().cycle() {
+        for (room, max) in pieces.iter().cycle() {
             if outgoing.is_gone() {
                 break;
             }
             let mut buffer = [0xEE; 40];
-            let count = outgoing.read(&mut buffer[..*room], *most);
+            let count = outgoing.read(&mut buffer[..*room], *max);
             prop_assert!(count <= *room && buffer[count..].iter().all(|byte| *byte == 0xEE));
             made.extend_from_slice(&buffer[..count]);
-            looked_at = if count == 0 { looked_at + most } else { 0 };
+            looked_at = if count == 0 { looked_at + max } else { 0 };
             prop_assert!(looked_at <= 255 + 80, "{looked_at} bytes looked at, and none went");
         }
         let front = usize::from(zero_first);

@@ -231,12 +231,12 @@ impl<const BYTES: usize> Outbox<BYTES> {
     }
 
     /// Time that a frame waits for its acknowledgement, microseconds.
-    fn resend_timeout_us(&self, (least, most): (u32, u32)) -> u64 {
+    fn resend_timeout_us(&self, (min, max): (u32, u32)) -> u64 {
         // Before the first measurement: a quarter of the longest time.
-        let usual = self.round_trip.map_or(most / 4, |(smooth, deviation)| {
+        let usual = self.round_trip.map_or(max / 4, |(smooth, deviation)| {
             (smooth / 8).saturating_add(deviation)
         });
-        (u64::from(usual.max(least)) << self.back_off).min(u64::from(most.max(least)))
+        (u64::from(usual.max(min)) << self.back_off).min(u64::from(max.max(min)))
     }
 }
 

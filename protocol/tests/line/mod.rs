@@ -130,11 +130,11 @@ impl Line {
     }
 
     /// Returns the bytes that have arrived, up to a limit.
-    pub fn take(&mut self, now_us: u64, most: usize) -> Vec<u8> {
+    pub fn take(&mut self, now_us: u64, max: usize) -> Vec<u8> {
         let ready = self
             .way
             .iter()
-            .take(most)
+            .take(max)
             .take_while(|(at, _)| *at <= now_us * 1000)
             .count();
         self.way.drain(..ready).map(|(_, byte)| byte).collect()

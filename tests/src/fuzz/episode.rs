@@ -313,9 +313,9 @@ impl Episode {
             .then(|| rng.choose(&[115_200, 460_800, 921_600]));
         let initial_load = (kind != MachineKind::MasterAlone && rng.chance(0.03)).then(|| {
             core::array::from_fn(|joint| {
-                let most = if joint == 4 { 6.0 } else { 130.0 };
+                let max = if joint == 4 { 6.0 } else { 130.0 };
                 if rng.chance(0.5) {
-                    rng.uniform(-most, most)
+                    rng.uniform(-max, max)
                 } else {
                     0.0
                 }

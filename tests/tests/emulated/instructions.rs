@@ -94,11 +94,11 @@ fn the_kinematics_stay_within_their_instructions() -> String {
         "\n## Kinematics of the H-4 arm alone, 1000 poses of the whole reach\n\n| | mean | worst |\n| --- | ---: | ---: |\n",
     );
     let ceilings = [("inverse", [600, 1_175]), ("forward", [720, 720])];
-    for (line, (name, most)) in console.lines().zip(ceilings) {
+    for (line, (name, max)) in console.lines().zip(ceilings) {
         let words: Vec<&str> = line.split(' ').collect();
         assert!(words.len() == 3 && words[0] == name, "{console}");
         let counts = [words[1], words[2]].map(|word| word.parse::<u32>().expect("a number"));
-        assert!(counts[0] < most[0] && counts[1] < most[1], "{console}");
+        assert!(counts[0] < max[0] && counts[1] < max[1], "{console}");
         table += &format!("| {name} | {} | {} |\n", counts[0], counts[1]);
     }
     assert_eq!(console.lines().count(), 2, "{console}");
@@ -268,7 +268,7 @@ fn a_period_stays_within_its_instructions() {
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
     // On the circle the correction moves z, which rests without it.
-    for (what, program, bare, most) in [
+    for (what, program, bare, max) in [
         (
             "integral action and friction adaptation",
             "dome-bare",
@@ -285,7 +285,7 @@ fn a_period_stays_within_its_instructions() {
     ] {
         let [mean, worst] = [0, 1].map(|which| costs[program][which] - costs[bare][which]);
         println!("{what}, {program}: {mean:.0} in the mean, {worst:.0} at worst");
-        assert!(mean <= most && worst <= most, "{what}: {mean} {worst}");
+        assert!(mean <= max && worst <= max, "{what}: {mean} {worst}");
     }
 }
 

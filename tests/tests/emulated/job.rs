@@ -135,8 +135,8 @@ fn chip_and_native_outputs_are_equal_under_force_control() {
     let displacements = native
         .iter()
         .map(|(snapshot, _)| snapshot.force.displacement[0]);
-    let most = displacements.max().unwrap_or(0);
-    assert!(most > 1 << 19, "the displacement is {most} units only");
+    let max = displacements.max().unwrap_or(0);
+    assert!(max > 1 << 19, "the displacement is {max} units only");
     let image = pil::image(Board::Mps2).expect("builds");
     let emulator = Emulator::start(Board::Mps2, &image).expect("starts");
     let remote = RemoteController::begin(emulator, machine.config.period_us).expect("begins");
@@ -189,7 +189,7 @@ fn real_time_factor(every: u16) -> (f64, u64) {
 /// 0.5).
 #[test]
 fn an_emulated_job_reaches_its_speed() {
-    for (every, words, least) in [(0, "setpoints only", 0.3), (5, "telemetry at 1 kHz", 0.05)] {
+    for (every, words, min) in [(0, "setpoints only", 0.3), (5, "telemetry at 1 kHz", 0.05)] {
         let (times, frames) = real_time_factor(every);
         println!("{words}: {times:.2} times real time, {frames} telemetry frames in 3 s");
         assert!(
@@ -200,7 +200,7 @@ fn an_emulated_job_reaches_its_speed() {
             },
             "{frames}"
         );
-        assert!(times > least);
+        assert!(times > min);
     }
 }
 

@@ -134,13 +134,13 @@ pub fn recover(bench: &mut Bench, expected: State) {
     if expected == State::Disabled {
         bench.ask(Command::Enable).expect("enabled");
     }
-    let mut most = 0.0_f64;
+    let mut max = 0.0_f64;
     for _ in 0..1000 {
         bench.step();
-        most = most.max(distance(bench, before));
+        max = max.max(distance(bench, before));
     }
     assert_eq!(state(bench), State::Idle);
-    assert!(most < 0.02, "the tool jumped by {most} mm");
+    assert!(max < 0.02, "the tool jumped by {max} mm");
 }
 
 /// Returns the faults that were reported.
@@ -237,14 +237,14 @@ pub fn distance_from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
 }
 
 /// Runs one period, and asserts that the commanded pose did not jump.
-pub fn step_smoothly(bench: &mut Bench, most: f64) {
+pub fn step_smoothly(bench: &mut Bench, max: f64) {
     let before = commanded(bench);
     bench.step();
     let after = commanded(bench);
     for axis in 0..5 {
         let unit = if axis < 3 { MM } else { DEGREE };
         let step = f64::from(after[axis].wrapping_sub(before[axis])).abs() / unit;
-        assert!(step <= most, "axis {axis} jumped by {step}");
+        assert!(step <= max, "axis {axis} jumped by {step}");
     }
 }
 

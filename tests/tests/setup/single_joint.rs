@@ -176,9 +176,9 @@ impl Slide {
                 (&mut self.motor, effort - screw, 1.0 - share),
                 (&mut self.slide, screw + load, share),
             ] {
-                let most = self.friction.bound(body[1]) * part / MASS * step;
+                let max = self.friction.bound(body[1]) * part / MASS * step;
                 let rate = body[1] + force / MASS * step;
-                body[1] = rate - rate.clamp(-most, most);
+                body[1] = rate - rate.clamp(-max, max);
                 body[0] += body[1] * step;
             }
             row[0] = self.motor[0];

@@ -71,16 +71,16 @@ pub fn peak_rates(start: &AxisValues, setpoints: &[Setpoint]) -> Vec<f64> {
                         + (s * s * s - s * s) * m1
                 }))
             };
-            let mut most = 0.0_f64;
+            let mut max = 0.0_f64;
             for step in 0..=400 {
                 let s = f64::from(step) / 400.0;
                 let (back, ahead) = (at(s - 1e-5), at(s + 1e-5));
                 for joint in 0..4 {
-                    most = most.max(((ahead[joint] - back[joint]) / (2e-5 * time)).abs());
+                    max = max.max(((ahead[joint] - back[joint]) / (2e-5 * time)).abs());
                 }
             }
             from = to;
-            most
+            max
         })
         .collect()
 }

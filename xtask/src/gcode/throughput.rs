@@ -14,7 +14,7 @@ const ROUNDS: usize = 5;
 
 /// Largest ratios of CPU time to `rs274 -g`, of the interpreter and of `--check`, largest memory of
 /// `--check`, MiB, and largest CPU time to the first setpoint of a stream, seconds.
-const MOST: [f64; 4] = [0.5, 1.0, 32.0, 0.1];
+const MAX: [f64; 4] = [0.5, 1.0, 32.0, 0.1];
 
 /// Names and texts of the programs: a wave of short moves within the built-in machine.
 fn programs() -> Vec<(&'static str, String)> {
@@ -142,7 +142,7 @@ fn first_setpoint(command: &str, file: &str) -> Result<f64, String> {
 ///
 /// # Errors
 ///
-/// A program cannot be built or started, it refuses a file, or a figure is above [`MOST`].
+/// A program cannot be built or started, it refuses a file, or a figure is above [`MAX`].
 pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     for target in [
@@ -207,17 +207,13 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
             "{name:<12}{:7.2}{alone:13.2}{whole:9.2}{memory:10.1}{first:19.3}",
             median(&mut theirs)
         );
-        if figures
-            .iter()
-            .zip(MOST)
-            .any(|(figure, most)| *figure > most)
-        {
+        if figures.iter().zip(MAX).any(|(figure, max)| *figure > max) {
             beyond.push(name);
         }
     }
     if !beyond.is_empty() {
         let names = beyond.join(", ");
-        return Err(format!("{names}: above {MOST:?}"));
+        return Err(format!("{names}: above {MAX:?}"));
     }
     Ok(())
 }

@@ -127,8 +127,8 @@ impl<F: NorFlash> ConfigStore<F> {
     fn head(&mut self, index: u32) -> Result<Option<Head>, F::Error> {
         let mut page = [0; PAGE];
         self.flash.read(self.start(index), &mut page)?;
-        let most = self.capacity();
-        Ok(Head::decode(&page).filter(|head| head.length <= most))
+        let max = self.capacity();
+        Ok(Head::decode(&page).filter(|head| head.length <= max))
     }
 
     /// Reads the configuration of a slot; `None` if it is damaged or exceeds the buffer.

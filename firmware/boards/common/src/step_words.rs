@@ -68,25 +68,21 @@ pub const fn is_before_pulse(address: u32) -> bool {
 pub const CYCLES_PER_TICK: u32 = 2;
 
 /// Ticks of a word without a pulse and with `x` = 0, and from the start of a word to its pulse.
-pub const LEAST: u32 = 3;
+pub const MIN: u32 = 3;
 
 /// Shortest pulse, ticks.
-pub const LEAST_WIDTH: u16 = 2;
+pub const MIN_WIDTH: u16 = 2;
 
 /// Least set-up and hold times of the direction, ticks: within them the line changes.
-pub const LEAST_SETUP: u16 = 3;
+pub const MIN_SETUP: u16 = 3;
 
 /// Largest number of words of a joint in a period.
-pub const MOST: usize = 512;
+pub const MAX: usize = 512;
 
-/// Value of the state machine's ISR for pulses of `width` ticks, at least [`LEAST_WIDTH`].
+/// Value of the state machine's ISR for pulses of `width` ticks, at least [`MIN_WIDTH`].
 #[must_use]
 pub const fn width_register(width: u16) -> u32 {
-    let width = if width < LEAST_WIDTH {
-        LEAST_WIDTH
-    } else {
-        width
-    };
+    let width = if width < MIN_WIDTH { MIN_WIDTH } else { width };
     width as u32 * CYCLES_PER_TICK - 2
 }
 
@@ -111,11 +107,7 @@ impl StepWords {
     pub const fn new(period: u32, width: u16) -> Self {
         Self {
             period: period as i32,
-            width: if width < LEAST_WIDTH {
-                LEAST_WIDTH
-            } else {
-                width
-            } as i32,
+            width: if width < MIN_WIDTH { MIN_WIDTH } else { width } as i32,
             early: 0,
             up: false,
         }
@@ -133,20 +125,20 @@ impl StepWords {
         -self.early
     }
 
-    /// A word that only waits, at least [`LEAST`] ticks.
+    /// A word that only waits, at least [`MIN`] ticks.
     #[must_use]
     pub const fn wait(&self, ticks: u32) -> u32 {
-        let turns = ticks.saturating_sub(LEAST);
+        let turns = ticks.saturating_sub(MIN);
         turns << 2 | self.up as u32
     }
 
     /// Writes the words of a period, and returns their number. Requires of the segment what
     /// [`StepSegment`] promises for a pulse of `width` ticks or more, and set-up and hold times of
-    /// [`LEAST_SETUP`] or more.
+    /// [`MIN_SETUP`] or more.
     ///
     /// # Errors
     /// [`Unfit`]; then the words are those of a period without steps.
-    pub fn fill(&mut self, segment: &StepSegment, words: &mut [u32; MOST]) -> Result<usize, Unfit> {
+    pub fn fill(&mut self, segment: &StepSegment, words: &mut [u32; MAX]) -> Result<usize, Unfit> {
         let before = (self.early, self.up);
         let result = self.encode(segment, words);
         if result.is_err() {
@@ -158,10 +150,10 @@ impl StepWords {
     }
 
     #[inline]
-    fn encode(&mut self, segment: &StepSegment, words: &mut [u32; MOST]) -> Result<usize, Unfit> {
+    fn encode(&mut self, segment: &StepSegment, words: &mut [u32; MAX]) -> Result<usize, Unfit> {
         let count = usize::from(segment.count.unsigned_abs());
         // A word more for a change of the direction, and one for the rest of the period.
-        if count + 2 > MOST {
+        if count + 2 > MAX {
             return Err(Unfit);
         }
         let mut used = 0;
@@ -171,8 +163,8 @@ impl StepWords {
             let up = segment.count > 0;
             if up != self.up {
                 // Until the direction may change; the pulses are as late.
-                let least = LEAST as i32;
-                let wait = least - start.min(0);
+                let min = MIN as i32;
+                let wait = min - start.min(0);
                 words[0] = self.wait(wait.unsigned_abs());
                 used = 1;
                 start += wait;
@@ -182,14 +174,14 @@ impl StepWords {
             let first = at - start;
             // The turns of a word after another one change by the ramp, so that the first and the
             // last of them bound all.
-            let pulse = i64::from(LEAST as i32 + self.width);
+            let pulse = i64::from(MIN as i32 + self.width);
             let (ramp, gaps) = (i64::from(segment.ramp), count as i64 - 1);
             let second = i64::from(segment.interval) - pulse;
             let last = second + ramp * (gaps - 1).max(0);
-            let least = if gaps > 0 { second.min(last) } else { 0 };
+            let min = if gaps > 0 { second.min(last) } else { 0 };
             let rises =
                 i64::from(at) + i64::from(segment.interval) * gaps + ramp * (gaps * (gaps - 1) / 2);
-            if first < 0 || least < 0 || rises >= i64::from(self.period) {
+            if first < 0 || min < 0 || rises >= i64::from(self.period) {
                 return Err(Unfit);
             }
             let flags = 0b10 | u32::from(up);
@@ -215,7 +207,7 @@ impl StepWords {
             start = (rises + pulse) as i32;
         }
         let rest = self.period - start;
-        if rest >= LEAST as i32 {
+        if rest >= MIN as i32 {
             words[used] = self.wait(rest.unsigned_abs());
             used += 1;
             self.early = 0;

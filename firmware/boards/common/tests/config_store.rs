@@ -196,11 +196,11 @@ fn an_empty_flash_has_no_configuration_and_an_equal_one_is_not_written_again() {
 
 #[test]
 fn lengths_and_places_are_checked() {
-    let most = SLOT as usize - PAGE;
-    let (memory, result) = saved(&Memory::new(), &config(most, 4));
+    let max = SLOT as usize - PAGE;
+    let (memory, result) = saved(&Memory::new(), &config(max, 4));
     assert_eq!(result, Ok(Saved::Written));
-    assert_eq!(loaded(&memory), Some(config(most, 4)));
-    for length in [0, most + 1] {
+    assert_eq!(loaded(&memory), Some(config(max, 4)));
+    for length in [0, max + 1] {
         let (after, result) = saved(&memory, &config(length, 5));
         assert_eq!(result, Err(StoreError::Length), "{length}");
         assert_eq!(after.words, memory.words);

@@ -2,7 +2,7 @@
 //! lines, instruction by instruction.
 
 use haptimill_board_common::step_words::{
-    CYCLES_PER_TICK, LEAST_SETUP, MOST, PROGRAM, STOP, StepWords, Unfit, WRAP, width_register,
+    CYCLES_PER_TICK, MAX, MIN_SETUP, PROGRAM, STOP, StepWords, Unfit, WRAP, width_register,
 };
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::StepSegment;
@@ -136,8 +136,8 @@ proptest! {
     #[test]
     fn pulses_leave_when_the_planner_says(
         width in 2_u16..38,
-        setup in LEAST_SETUP..400,
-        hold in LEAST_SETUP..400,
+        setup in MIN_SETUP..400,
+        hold in MIN_SETUP..400,
         moves in proptest::collection::vec((-210_000_i32..210_000, 1_usize..12), 3..12),
     ) {
         let timing = PulseTiming { period: PERIOD, pulse: width, setup, hold };
@@ -153,7 +153,7 @@ proptest! {
                 at += speed;
                 let rate = Rate(i32::try_from(i64::from(speed) * 5000).unwrap_or(i32::MAX));
                 let segment = planner.plan(Coordinate(at), rate).segment;
-                let mut buffer = [0; MOST];
+                let mut buffer = [0; MAX];
                 let used = encoder.fill(&segment, &mut buffer);
                 prop_assert!(used.is_ok(), "{segment:?}");
                 words.extend(&buffer[..used.unwrap()]);
@@ -163,7 +163,7 @@ proptest! {
                 period += 1;
             }
         }
-        let mut last = [0; MOST];
+        let mut last = [0; MAX];
         let used = encoder.fill(&StepSegment::default(), &mut last).unwrap();
         words.extend(&last[..used]);
         let (step, direction, cycles) = lines(&words, width);
@@ -204,7 +204,7 @@ fn a_segment_that_does_not_fit_is_a_period_without_steps() {
             interval,
             ramp,
         };
-        let mut words = [0; MOST];
+        let mut words = [0; MAX];
         assert_eq!(
             encoder.fill(&segment, &mut words),
             Err(Unfit),
@@ -225,7 +225,7 @@ fn the_emergency_stop_ends_the_pulses_in_the_state_machine() {
     };
     // At each cycle of two steps, the stop opens for one cycle of the state machine and longer.
     for open in 1000..1300 {
-        let mut words = [0; MOST];
+        let mut words = [0; MAX];
         let used = encoder.fill(&segment, &mut words).unwrap();
         let mut machine = Machine::new(30);
         let mut words = words[..used].iter().copied();

@@ -16,7 +16,7 @@ use crate::pins::{self, JOINTS, Levels};
 use crate::registers::{DMA, PIO, SYSTICK, clear, read, write};
 use core::cell::UnsafeCell;
 use haptimill_board_common::step_words::{
-    CYCLES_PER_TICK, LEAST_WIDTH, MOST, PROGRAM, PULSE, STOP, StepWords, WRAP, is_before_pulse,
+    CYCLES_PER_TICK, MAX, MIN_WIDTH, PROGRAM, PULSE, STOP, StepWords, WRAP, is_before_pulse,
     width_register,
 };
 use haptimill_firmware::config::Drive;
@@ -40,7 +40,7 @@ const BUFFERS: usize = 3;
 
 /// Words that the DMA reads.
 struct Words {
-    buffers: UnsafeCell<[[[u32; MOST]; JOINTS]; BUFFERS]>,
+    buffers: UnsafeCell<[[[u32; MAX]; JOINTS]; BUFFERS]>,
     gaps: UnsafeCell<[u32; JOINTS]>,
 }
 
@@ -49,7 +49,7 @@ struct Words {
 unsafe impl Sync for Words {}
 
 static WORDS: Words = Words {
-    buffers: UnsafeCell::new([[[0; MOST]; JOINTS]; BUFFERS]),
+    buffers: UnsafeCell::new([[[0; MAX]; JOINTS]; BUFFERS]),
     gaps: UnsafeCell::new([0; JOINTS]),
 };
 
@@ -96,7 +96,7 @@ impl Filler {
     /// Nothing is emitted yet.
     pub const fn new() -> Self {
         Self {
-            encoders: [const { StepWords::new(PERIOD_TICKS, LEAST_WIDTH) }; JOINTS],
+            encoders: [const { StepWords::new(PERIOD_TICKS, MIN_WIDTH) }; JOINTS],
         }
     }
 
@@ -149,7 +149,7 @@ impl Filler {
 
 /// Widths of the pulses of a machine; and the joints that this board cannot drive, one bit each.
 pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
-    let mut widths = [LEAST_WIDTH; JOINTS];
+    let mut widths = [MIN_WIDTH; JOINTS];
     let mut wrong = 0;
     let joints = machine.map_or(&[][..], |machine| &machine.config.joints[..]);
     for (joint, axis) in joints.iter().enumerate() {
@@ -163,7 +163,7 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
                 && axis.encoder.is_none()
                 && !axis.needs_limit_switches() =>
             {
-                widths[joint] = (*pulse).max(LEAST_WIDTH);
+                widths[joint] = (*pulse).max(MIN_WIDTH);
             }
             _ => wrong |= 1 << joint,
         }
@@ -202,7 +202,7 @@ impl Engine {
         }
         let mut engine = Self {
             state: State::Running,
-            widths: [LEAST_WIDTH; JOINTS],
+            widths: [MIN_WIDTH; JOINTS],
             next_begins: [0; JOINTS],
             handed_over: [NOTHING; 2],
             emitted: [0; JOINTS],

@@ -32,7 +32,7 @@ const CURRENT_MA: usize = 100;
 const OTP_DATA: usize = 0x4013_0000;
 
 /// Bytes of a packet to the host. A packet of the largest size would not end a transfer.
-const MOST: usize = PACKET - 1;
+const MAX: usize = PACKET - 1;
 
 /// Time for which a packet waits for the host. Then the bytes behind it are dropped.
 const PATIENCE: u32 = 100_000 * CYCLES_PER_US;
@@ -92,7 +92,7 @@ impl Between {
         };
         let mut device = builder.build();
         let mut packet = Packet {
-            bytes: [0; MOST],
+            bytes: [0; MAX],
             count: 0,
             since: cycles(),
         };
@@ -125,7 +125,7 @@ fn receive(port: &mut CdcAcmClass<'_, Bus>, wire: &mut Wire) {
 
 /// The next packet to the host.
 struct Packet {
-    bytes: [u8; MOST],
+    bytes: [u8; MAX],
     count: usize,
     /// Cycle at which it was filled.
     since: u32,
@@ -136,7 +136,7 @@ impl Packet {
     fn send(&mut self, port: &mut CdcAcmClass<'_, Bus>, wire: &mut Wire) {
         if self.count == 0 {
             self.since = cycles();
-            while self.count < MOST
+            while self.count < MAX
                 && let Some(byte) = wire.outgoing.dequeue()
             {
                 self.bytes[self.count] = byte;

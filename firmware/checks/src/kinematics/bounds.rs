@@ -20,9 +20,9 @@ const fn of_kind<T: Copy>(kind: AxisKind, [linear, rotary]: [T; 2]) -> T {
     if kind.is_rotary() { rotary } else { linear }
 }
 
-/// A random whole number from 0 to `most`.
-fn up_to(sequence: &mut Sequence, most: u32) -> u32 {
-    sequence.below(u64::from(most) + 1) as u32
+/// A random whole number from 0 to `max`.
+fn up_to(sequence: &mut Sequence, max: u32) -> u32 {
+    sequence.below(u64::from(max) + 1) as u32
 }
 
 /// Checks that every pose of a box has its joints, and their rates, within the bounds of the box,
@@ -47,8 +47,8 @@ pub fn boxes_bound_their_poses<S: Subject>(subject: &S, count: usize) -> f64 {
             let Some(axis) = described.get(axis) else {
                 return 0.0;
             };
-            let most = of_kind(axis.kind, [SIZES_MM, SIZES_RAD])[round % SIZES_MM.len()];
-            sequence.between(0.0, most)
+            let max = of_kind(axis.kind, [SIZES_MM, SIZES_RAD])[round % SIZES_MM.len()];
+            sequence.between(0.0, max)
         });
         let sizes = raw(&sizes, &units).map(|size| size.0.unsigned_abs());
         let at = |offsets: [u32; MAX_AXES]| {
@@ -64,8 +64,8 @@ pub fn boxes_bound_their_poses<S: Subject>(subject: &S, count: usize) -> f64 {
             if axis >= axes {
                 return Rate(0);
             }
-            let most = of_kind(described[axis].kind, RATES) / units[axis];
-            Rate(sequence.between(0.0, most) as i32)
+            let max = of_kind(described[axis].kind, RATES) / units[axis];
+            Rate(sequence.between(0.0, max) as i32)
         });
         let Ok(bounds) = machine.box_bounds(&low, &high, &[rates]) else {
             continue;
@@ -104,12 +104,12 @@ fn assert_inside<S: Subject>(subject: &S, bounds: &BoxBounds, pose: &Pose, movin
         .unwrap_or_else(|error| panic!("{error:?}: {pose:?} is in a box that was not refused"));
     for axis in 0..machine.axes() {
         let joint = motion.joints.0[axis];
-        let [least, most] = [0, 1].map(|end| bounds.joints[end].0[axis]);
+        let [min, max] = [0, 1].map(|end| bounds.joints[end].0[axis]);
         // The bounds of a joint that wraps around are an arc from the least one upwards.
-        let ahead = |of: Coordinate| of.wrapping_sub(least).0 as u32;
+        let ahead = |of: Coordinate| of.wrapping_sub(min).0 as u32;
         assert!(
-            ahead(joint) <= ahead(most),
-            "joint {axis}: {joint:?} not in {least:?} {most:?}; {pose:?}"
+            ahead(joint) <= ahead(max),
+            "joint {axis}: {joint:?} not in {min:?} {max:?}; {pose:?}"
         );
         let (rate, limit) = (motion.rates[axis].0, bounds.rates[0][axis]);
         assert!(

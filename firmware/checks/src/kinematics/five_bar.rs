@@ -201,8 +201,8 @@ impl Subject for Arms {
             let (sine, cosine) = libm::sincos(sequence.between(-0.3, PI + 0.3));
             let tip = match sequence.below(3) {
                 0 => {
-                    let least = libm::asin(margin / distal);
-                    let between = [least, PI - least][sequence.below(2) as usize];
+                    let min = libm::asin(margin / distal);
+                    let between = [min, PI - min][sequence.below(2) as usize];
                     let [x, y] = self.opened(sequence, between);
                     [x + step * cosine, y + step * sine]
                 }

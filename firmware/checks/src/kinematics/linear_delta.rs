@@ -148,8 +148,8 @@ impl Subject for Slides {
                 let middle = 0.5 * (near + far);
                 let there = at(middle, &pose);
                 let inside = self.ups(&there).is_some_and(|ups| {
-                    let least = ups.iter().copied().fold(self.plane(&there, ups), f64::min);
-                    least > margin
+                    let min = ups.iter().copied().fold(self.plane(&there, ups), f64::min);
+                    min > margin
                 });
                 if inside {
                     near = middle;
@@ -162,12 +162,12 @@ impl Subject for Slides {
         }
         // A rod level, or at the margin.
         let index = sequence.below(3) as usize;
-        let most = if sequence.below(2) == 0 {
+        let max = if sequence.below(2) == 0 {
             rods[index]
         } else {
             libm::sqrt(rods[index] * rods[index] - margin * margin)
         };
-        let distance = most + sequence.logarithmic(-7.0, 1.0);
+        let distance = max + sequence.logarithmic(-7.0, 1.0);
         // From the column towards the others.
         let [x, y] = columns[index];
         let direction = libm::atan2(-y, -x) + sequence.between(-0.9, 0.9);

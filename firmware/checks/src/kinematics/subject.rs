@@ -114,7 +114,7 @@ pub struct Margins(pub Vec<Margin, 12>);
 impl Margins {
     /// Returns the smallest margin, as a multiple of [`Unit::tolerance`]: below -1 a condition is
     /// violated, above 1 all of them hold.
-    pub fn least(&self) -> f64 {
+    pub fn smallest(&self) -> f64 {
         self.0.iter().map(Margin::share).fold(f64::MAX, f64::min)
     }
 

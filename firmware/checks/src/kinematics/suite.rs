@@ -63,12 +63,12 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
         let pose = any_pose(subject, &mut sequence);
         let truth = real(&pose.0, &pose_units);
         let margins = subject.margins(&truth);
-        let context = (truth, margins.least());
+        let context = (truth, margins.smallest());
         match machine.inverse(&pose) {
             Ok(joints) => {
                 answered += 1;
                 assert!(
-                    margins.least() >= -GREY,
+                    margins.smallest() >= -GREY,
                     "a pose beyond the bounds is accepted: {context:?}"
                 );
                 let want = subject.close(&truth).expect("closes");
@@ -80,7 +80,7 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                     Ok(back) => {
                         let back = real(&back.0, &pose_units);
                         assert!(
-                            subject.measured_margins(&back).least() >= -GREY,
+                            subject.measured_margins(&back).smallest() >= -GREY,
                             "the pose of the joints is beyond the bounds: {context:?}"
                         );
                         let want = subject.solve(&got, &back).expect("converges");
@@ -144,9 +144,9 @@ pub fn forward_is_verified<S: Subject>(subject: &S, count: usize) -> f64 {
         answered += 1;
         let got = real(&pose.0, &pose_units);
         let margins = subject.measured_margins(&got);
-        let context = (real(&joints.0, &joint_units), got, margins.least());
+        let context = (real(&joints.0, &joint_units), got, margins.smallest());
         assert!(
-            margins.least() >= -GREY,
+            margins.smallest() >= -GREY,
             "joint positions give a pose beyond the bounds: {context:?}"
         );
         let commanded = real(&joints.0, &joint_units);
@@ -211,7 +211,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         let result = machine.inverse(&pose);
         match result {
             Ok(_) => assert!(
-                subject.margins(&truth).least() >= -GREY,
+                subject.margins(&truth).smallest() >= -GREY,
                 "a pose beyond the bounds is accepted: {truth:?} (mm, rad)"
             ),
             Err(error) => {
@@ -236,7 +236,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         if let Ok(pose) = machine.forward(&Joints(values)) {
             let pose = real(&pose.0, &subject.pose_units());
             assert!(
-                subject.measured_margins(&pose).least() >= -GREY,
+                subject.measured_margins(&pose).smallest() >= -GREY,
                 "joint positions give a pose beyond the bounds: {pose:?} (mm, rad)"
             );
         }
@@ -274,7 +274,7 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
         let pose = raw_pose(subject, &subject.random_pose(&mut sequence));
         let truth = real(&pose.0, &pose_units);
         // Differences need room on both sides. The other checks approach the bounds.
-        if subject.margins(&truth).least() < ROOM {
+        if subject.margins(&truth).smallest() < ROOM {
             continue;
         }
         // Small compared with S / S', large compared with the noise of f64 (3e-5 mm/s^2 in the

@@ -219,11 +219,11 @@ impl HapticArm {
             stand.leg(reading, self.link, leg);
         }
         let [first, second, third] = [pose.legs[0].joint, pose.legs[1].joint, pose.legs[2].joint];
-        let (least, most) = self.squares;
+        let (min, max) = self.squares;
         let fits = |to: Vector, from: Vector| {
             let side = short(to, from)?;
             let square = dot(side, side) as u64;
-            (least <= square && square <= most).then_some(side)
+            (min <= square && square <= max).then_some(side)
         };
         let sides = (fits(third, second), fits(first, third), fits(second, first));
         let (Some(opposite), Some(third_back), Some(second_out)) = sides else {

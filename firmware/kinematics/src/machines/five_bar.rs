@@ -207,7 +207,7 @@ impl Machine for FiveBar {
     fn is_sound(geometry: &FiveBarGeometry) -> bool {
         let mut within = geometry.origin.iter().zip(ORIGIN);
         (0..=HALF_BASE).contains(&geometry.half_base.0)
-            && within.all(|(part, most)| part.0.unsigned_abs() <= most.unsigned_abs())
+            && within.all(|(part, max)| part.0.unsigned_abs() <= max.unsigned_abs())
             && Scara::is_sound(&ScaraGeometry {
                 upper: geometry.proximal,
                 fore: geometry.distal,
@@ -219,13 +219,13 @@ impl Machine for FiveBar {
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
         Some(match self.solve_positions(pose) {
             Ok(arms) => {
-                let mut least = Length(saturate(self.opening(&arms)));
+                let mut min = Length(saturate(self.opening(&arms)));
                 for arm in &self.arms {
                     if let Some(Ok(distance)) = arm.singularity_distance(&turned(pose)) {
-                        least = least.min(distance);
+                        min = min.min(distance);
                     }
                 }
-                Ok(least)
+                Ok(min)
             }
             Err(PoseError::NearSingularity { distance }) => Ok(Length(distance)),
             Err(error) => Err(error),
@@ -347,8 +347,8 @@ impl Kinematics for FiveBar {
     /// is below both.
     fn box_bounds(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<BoxBounds, PoseError> {
         let mut ends = [turned(low), turned(high)];
-        let (least, most) = (ends[1].0[1], ends[0].0[1]);
-        (ends[0].0[1], ends[1].0[1]) = (least, most);
+        let (min, max) = (ends[1].0[1], ends[0].0[1]);
+        (ends[0].0[1], ends[1].0[1]) = (min, max);
         let mut turned_limits = [Rates::default(); 2];
         for (turned, rates) in turned_limits.iter_mut().zip(rates) {
             *turned = turned_rates(rates);

@@ -53,7 +53,7 @@ const COLUMN: i32 = 400 << 20;
 /// Least distance of two columns, 2^-20 mm: 80 mm.
 const APART: i64 = 80 << 20;
 /// Least singularity margin, 2^-20 mm: 1 mm.
-const LEAST_MARGIN: i32 = 1 << 20;
+const MIN_MARGIN: i32 = 1 << 20;
 
 /// Weights are Q26, and their gradients Q56 per 2^-20 mm.
 const WEIGHT: u32 = 26;
@@ -112,7 +112,7 @@ struct SolvedPose {
 
 impl SolvedPose {
     /// The singularity distance.
-    fn least(&self) -> i64 {
+    fn singularity_distance(&self) -> i64 {
         let ups = self.rods.iter().map(|rod| rod.up);
         ups.fold(self.plane, i64::min)
     }
@@ -171,10 +171,10 @@ impl LinearDelta {
     fn solve_positions(&self, pose: &Pose) -> Result<SolvedPose, PoseError> {
         let at = [0, 1].map(|axis| i64::from(pose.0[axis].0));
         let solved = self.rods_at(at)?;
-        let least = solved.least();
-        if least < self.margin {
+        let min = solved.singularity_distance();
+        if min < self.margin {
             return Err(PoseError::NearSingularity {
-                distance: saturate(least),
+                distance: saturate(min),
             });
         }
         Ok(solved)
@@ -302,7 +302,7 @@ impl Machine for LinearDelta {
             .all(|part| part.0.unsigned_abs() <= COLUMN as u32);
         let height = geometry.height.0.unsigned_abs() <= 2000 << 20;
         let shortest = geometry.rods.iter().map(|rod| rod.0).min().unwrap_or(0);
-        let margin = (LEAST_MARGIN..shortest).contains(&geometry.singularity_margin.0);
+        let margin = (MIN_MARGIN..shortest).contains(&geometry.singularity_margin.0);
         if !(lengths && near && height && margin) {
             return false;
         }
@@ -317,7 +317,7 @@ impl Machine for LinearDelta {
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
         Some(match self.solve_positions(pose) {
-            Ok(solved) => Ok(Length(saturate(solved.least()))),
+            Ok(solved) => Ok(Length(saturate(solved.singularity_distance()))),
             Err(PoseError::NearSingularity { distance }) => Ok(Length(distance)),
             Err(error) => Err(error),
         })
@@ -442,23 +442,23 @@ impl Kinematics for LinearDelta {
                     (length * length - square(away)).unsigned_abs(),
                 ))
             };
-            let (least, most) = (up(far), up(near));
-            if least < self.margin {
+            let (min, max) = (up(far), up(near));
+            if min < self.margin {
                 return Err(PoseError::NearSingularity {
-                    distance: saturate(least),
+                    distance: saturate(min),
                 });
             }
             let weight = weights[0];
-            plane += weight * if weight < 0 { most } else { least };
+            plane += weight * if weight < 0 { max } else { min };
             let joint = |at: i64| {
                 let at = i32::try_from(at - self.height);
                 at.map(Coordinate).map_err(|_| PoseError::Unreachable)
             };
-            bounds.joints[0].0[index] = joint(ends[0][Z] + least)?;
-            bounds.joints[1].0[index] = joint(ends[1][Z] + most)?;
+            bounds.joints[0].0[index] = joint(ends[0][Z] + min)?;
+            bounds.joints[1].0[index] = joint(ends[1][Z] + max)?;
             for (bound, rates) in bounds.rates.iter_mut().zip(rates) {
                 let [x, y, z] = [0, 1, Z].map(|axis| i64::from(rates[axis].0.unsigned_abs()));
-                let closing = (far[0] * x + far[1] * y) / least + 1;
+                let closing = (far[0] * x + far[1] * y) / min + 1;
                 bound[index] = u32::try_from(closing + z).unwrap_or(u32::MAX);
             }
         }

@@ -43,7 +43,7 @@ const THETA: usize = 1;
 const Z: usize = 2;
 
 /// Least singularity margin, 2^-20 mm: 1 mm. Quotients by r fit then.
-const LEAST_MARGIN: i32 = 1 << 20;
+const MIN_MARGIN: i32 = 1 << 20;
 /// Rounding error of the bound of an angle, or of its rate, raw units.
 const ROUNDED: i64 = 16;
 
@@ -162,7 +162,7 @@ impl Machine for PolarMill {
     }
 
     fn is_sound(geometry: &PolarMillGeometry) -> bool {
-        geometry.singularity_margin.0 >= LEAST_MARGIN
+        geometry.singularity_margin.0 >= MIN_MARGIN
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
@@ -277,10 +277,10 @@ impl Kinematics for PolarMill {
         };
         let near = [0, 1].map(|axis| 0_i64.clamp(from[axis], to[axis]));
         let far = [0, 1].map(|axis| from[axis].abs().max(to[axis].abs()));
-        let (least, most) = (self.radius(near)?, self.radius(far)?);
+        let (min, max) = (self.radius(near)?, self.radius(far)?);
         let mut bounds = BoxBounds::default();
         let joints = &mut bounds.joints;
-        (joints[0].0[R], joints[1].0[R]) = (Coordinate(least as i32), Coordinate(most as i32));
+        (joints[0].0[R], joints[1].0[R]) = (Coordinate(min as i32), Coordinate(max as i32));
         (joints[0].0[Z], joints[1].0[Z]) = (low.0[Z], high.0[Z]);
         let first = turn_of(from);
         let (mut down, mut up) = (0_i32, 0_i32);
@@ -300,13 +300,13 @@ impl Kinematics for PolarMill {
             // Below 2^32.5; the direction of the slide bounds the speeds in a small box.
             let whole = u64::from(sqrt_rounded(x * x + y * y)) + 1;
             let speed = |a: u64, b: u64| {
-                let speed = ((x * a + y * b) / least.unsigned_abs() + 1).min(whole);
+                let speed = ((x * a + y * b) / min.unsigned_abs() + 1).min(whole);
                 (speed + (speed >> 28) + 2) as i64
             };
             let (along, across) = (speed(far_x, far_y), speed(far_y, far_x));
             let narrow = |rate: i64| u32::try_from(rate).unwrap_or(u32::MAX);
             bound[R] = narrow(along);
-            bound[THETA] = narrow(across * RADIAN / least + ROUNDED);
+            bound[THETA] = narrow(across * RADIAN / min + ROUNDED);
             bound[Z] = rates[Z].0.unsigned_abs();
         }
         Ok(bounds)

@@ -46,7 +46,7 @@ const Z: usize = 2;
 /// Shortest and longest link, 2^-20 mm: 16 mm and 1000 mm.
 const LINK: core::ops::RangeInclusive<i32> = 16 << 20..=1000 << 20;
 /// Least singularity margin, 2^-20 mm: 1 mm. Quotients by the singularity distance fit then.
-const LEAST_MARGIN: i32 = 1 << 20;
+const MIN_MARGIN: i32 = 1 << 20;
 
 /// Lengths of a SCARA arm, 2^-20 mm.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -71,7 +71,7 @@ pub struct Scara {
     origin: [i64; 2],
     right: bool,
     /// Least S; beyond every S for an unsound geometry.
-    least: i64,
+    min: i64,
 }
 
 /// The triangle of shoulder, elbow and tip.
@@ -157,7 +157,7 @@ impl Scara {
             return Err(PoseError::Unreachable);
         }
         let area = root_of_product(outside.unsigned_abs(), inside.unsigned_abs());
-        if area < self.least {
+        if area < self.min {
             return Err(PoseError::NearSingularity {
                 distance: saturate(area / (2 * self.upper).max(1)),
             });
@@ -252,7 +252,7 @@ impl Machine for Scara {
                 fore: 0,
                 origin,
                 right,
-                least: i64::MAX,
+                min: i64::MAX,
             };
         }
         let upper = i64::from(geometry.upper.0);
@@ -261,7 +261,7 @@ impl Machine for Scara {
             fore: i64::from(geometry.fore.0),
             origin,
             right,
-            least: 2 * upper * i64::from(geometry.singularity_margin.0),
+            min: 2 * upper * i64::from(geometry.singularity_margin.0),
         }
     }
 
@@ -269,7 +269,7 @@ impl Machine for Scara {
         let margin = geometry.singularity_margin.0;
         LINK.contains(&geometry.upper.0)
             && LINK.contains(&geometry.fore.0)
-            && (LEAST_MARGIN..geometry.fore.0).contains(&margin)
+            && (MIN_MARGIN..geometry.fore.0).contains(&margin)
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
@@ -358,7 +358,7 @@ impl Kinematics for Scara {
         let theta = [joints.0[0].angle(), joints.0[1].angle()];
         let (bend, _) = sin_cos(theta[1]);
         let distance = self.side() * scale(self.fore, bend, 30);
-        if 2 * self.upper * distance < self.least {
+        if 2 * self.upper * distance < self.min {
             return Err(PoseError::NearSingularity {
                 distance: saturate(distance),
             });
@@ -415,9 +415,9 @@ impl Kinematics for Scara {
         } else {
             [self.triangle(near * near)?, self.triangle(far * far)?]
         };
-        let least = ends[0].area.min(ends[1].area);
+        let min = ends[0].area.min(ends[1].area);
         let flattest = Triangle {
-            area: least - (least >> 28),
+            area: min - (min >> 28),
             ..ends[0]
         };
         let [lever, _] = self.levers(&flattest);

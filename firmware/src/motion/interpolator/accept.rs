@@ -162,9 +162,9 @@ impl Interpolator {
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
         let (duration, mut limit) = (&self.duration, self.rate_limits[axis]);
-        let most = i32::from(self.max_percent());
-        if most > 100 {
-            limit = limit / most * 100;
+        let max = i32::from(self.max_percent());
+        if max > 100 {
+            limit = limit / max * 100;
         }
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;

@@ -19,7 +19,7 @@ const SLOWING: usize = 8;
 #[derive(Debug, Clone, Copy)]
 struct Faster {
     /// Its maximum speed factor, percent.
-    most: u8,
+    max: u8,
     /// Program time until the speed factor is certainly 100 % or less, control periods.
     periods: u32,
 }
@@ -42,7 +42,7 @@ impl AcceptedModes {
 
     /// Maximum speed factor on the segment to the next setpoint, percent.
     pub(super) fn max_percent(&self) -> u8 {
-        let fastest = self.faster.first().map_or(0, |faster| faster.most);
+        let fastest = self.faster.first().map_or(0, |faster| faster.max);
         self.override_mode.max_percent().max(fastest)
     }
 
@@ -59,7 +59,7 @@ impl AcceptedModes {
         }
         for faster in &mut self.faster {
             faster.periods = faster.periods.saturating_sub(u32::from(setpoint.periods));
-            if is_slower && faster.most <= before {
+            if is_slower && faster.max <= before {
                 faster.periods = 0;
             }
         }
@@ -74,11 +74,11 @@ impl AcceptedModes {
 
     /// A faster part has ended; all in the list are faster than it. A slope that rises must be
     /// undone before it falls.
-    fn end_faster(&mut self, most: u8, [slope, ramp]: [u32; 2]) {
-        let (most, change) = (u32::from(most), u32::from(most.saturating_sub(100)));
+    fn end_faster(&mut self, max: u8, [slope, ramp]: [u32; 2]) {
+        let (max, change) = (u32::from(max), u32::from(max.saturating_sub(100)));
         let ended = Faster {
-            most: most as u8,
-            periods: most * (change * slope / 100 + 2 * ramp) / 100,
+            max: max as u8,
+            periods: max * (change * slope / 100 + 2 * ramp) / 100,
         };
         let is_full = self.faster.is_full();
         if let Some(slowest) = self.faster.last_mut() {

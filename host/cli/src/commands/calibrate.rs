@@ -446,11 +446,11 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
     };
     let um = |value: f64| value * 1e3;
     let [ccw, cw] = result.deviation.map(um);
-    let [most, least] = result.radial.map(um);
+    let [max, min] = result.radial.map(um);
     print_line!("G ccw       {ccw:>8.3} um");
     print_line!("G cw        {cw:>8.3} um");
     print_line!("H           {:>8.3} um", um(result.hysteresis));
-    print_line!("F           {least:>8.3} to {most:.3} um");
+    print_line!("F           {min:>8.3} to {max:.3} um");
     print_line!("squareness  {:>8.2} urad", result.squareness * 1e6);
     let Some(out) = &args.out else {
         return Ok(());

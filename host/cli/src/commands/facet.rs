@@ -11,7 +11,7 @@ use super::{CliError, Exit, output};
 use grind::grind;
 use haptimill_facet::{
     Design, Gem, Job, JobSettings, Lap, calibrate, check_machine, coolant, index_wraps,
-    most_force_n, read,
+    max_force_n, read,
 };
 use haptimill_machine_file::{MachineFile, input};
 use serde_json::json;
@@ -66,7 +66,7 @@ fn settings(args: &JobArgs, machine: &MachineFile) -> Result<JobSettings, CliErr
     let mut settings = JobSettings {
         mode: args.by.mode(),
         index_wraps: index_wraps(machine),
-        most_force_n: most_force_n(machine),
+        max_force_n: max_force_n(machine),
         ..JobSettings::default()
     };
     if let Some(path) = &args.laps {
@@ -191,7 +191,7 @@ fn plan(args: &PlanArgs) -> Result<(), CliError> {
         eprintln!(
             "notice: the program is for a controller that holds the force of the height; without \
              force control it feeds the stone at up to {} mm/s",
-            job.most_feed_mm_s()
+            job.max_feed_mm_s()
         );
     }
     if args.out.as_os_str() == "-" {

@@ -204,10 +204,10 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, tasks: &Tasks) -> Result<
     for step in &tasks.steps {
         let axis = &machine.joints[step.joint];
         let unit = if axis.kind.is_rotary() { "deg" } else { "mm" };
-        let [[low, high], [gentle, most]] = [step.bounds.rate, step.bounds.acceleration];
+        let [[low, high], [gentle, max]] = [step.bounds.rate, step.bounds.acceleration];
         let lower = step.lower.map(|why| format!(" ({why})"));
         say(format!(
-            "  joint {}: {}, at {low:.1} to {high:.1} {unit}/s and {gentle:.0} to {most:.0} \
+            "  joint {}: {}, at {low:.1} to {high:.1} {unit}/s and {gentle:.0} to {max:.0} \
              {unit}/s^2 until it loses steps{}",
             axis.name,
             moved(machine, &step.reach()),

@@ -213,11 +213,11 @@ fn check_distance(axis: &AxisLimits, distance: f64, end: f64) -> Result<(), CliE
         AxisKind::Linear => "mm",
         AxisKind::Rotary | AxisKind::MultiTurn => "deg",
     };
-    let most = distance + end.clamp(low, high) - end;
+    let max = distance + end.clamp(low, high) - end;
     let name = &axis.name;
     let what = format!(
         "jog --by {name}={distance}: {name} would end at {end:.4} {unit}, outside its soft limits \
-         ({low} to {high} {unit}); write at most {name}={most:.3}"
+         ({low} to {high} {unit}); write at most {name}={max:.3}"
     );
     Err(CliError::new(Exit::Refused, what))
 }
@@ -247,13 +247,13 @@ fn distances(given: &[CoordinateValue], machine: &MachineFile) -> Result<Vec<f64
             return Err(usage(what));
         }
         // Half a turn at most: beyond it, a coordinate that wraps around would turn the other way.
-        let most = match axis.kind {
+        let max = match axis.kind {
             AxisKind::Rotary => 180.0,
             AxisKind::Linear | AxisKind::MultiTurn => 1e6,
         };
-        if command.value.abs() >= most {
+        if command.value.abs() >= max {
             let what = format!(
-                "{}={}: write less than {most}",
+                "{}={}: write less than {max}",
                 command.coordinate, command.value
             );
             return Err(usage(what));

@@ -101,9 +101,9 @@ fn check(command: &ProbeCycle) -> Result<(), CliError> {
         find_system(system)?;
     }
     let back_off = ("--back-off", shared.back_off, 1e-3);
-    for (name, value, least) in lengths.into_iter().chain([back_off]) {
-        if !(least..=1e4).contains(&value) {
-            let what = format!("{name} {value}: write {least} to 10000 mm");
+    for (name, value, min) in lengths.into_iter().chain([back_off]) {
+        if !(min..=1e4).contains(&value) {
+            let what = format!("{name} {value}: write {min} to 10000 mm");
             return Err(CliError::new(Exit::Usage, what));
         }
     }

@@ -123,7 +123,7 @@ struct Joint {
 }
 
 /// Largest capture, bytes.
-const MOST_BYTES: u64 = 4 << 30;
+const MAX_BYTES: u64 = 4 << 30;
 
 /// Opens a capture. A pipe is read to its end first, because it may have none.
 fn open_capture(path: &Path) -> Result<Box<dyn BufRead>, CliError> {
@@ -133,8 +133,8 @@ fn open_capture(path: &Path) -> Result<Box<dyn BufRead>, CliError> {
         let bytes = input::read(path, input::TABLE_BYTES).map_err(|error| bad(path, error))?;
         return Ok(Box::new(io::Cursor::new(bytes)));
     }
-    if kind.len() > MOST_BYTES {
-        let gib = MOST_BYTES >> 30;
+    if kind.len() > MAX_BYTES {
+        let gib = MAX_BYTES >> 30;
         return Err(bad(
             path,
             format!("it is larger than {gib} GiB; export a shorter part"),

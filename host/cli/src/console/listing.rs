@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 
 /// Rows of a list at most.
-const MOST_LISTED: usize = 2000;
+const MAX_LISTED: usize = 2000;
 
 /// Folders below which removable media are mounted.
 const MEDIA: [&str; 3] = ["/media/", "/run/media/", "/mnt/"];
@@ -150,8 +150,8 @@ fn list(folder: &Path, media: &[PathBuf]) -> Listing {
         }
     };
     found.sort_by(|a, b| (a.kind, &a.name).cmp(&(b.kind, &b.name)));
-    let more = found.len().saturating_sub(MOST_LISTED);
-    found.truncate(MOST_LISTED);
+    let more = found.len().saturating_sub(MAX_LISTED);
+    found.truncate(MAX_LISTED);
     entries.extend(found);
     Listing {
         folder: here,

@@ -187,7 +187,7 @@ impl Master {
             feedback: Setting::new(haptic.feedback),
             faces: [[Face::Unknown; 2]; COMPONENTS],
             stiffness: f64::from(haptic.fixture.stiffness) / PER_EFFORT,
-            max_push: f64::from(haptic.fixture.most.0) / PER_EFFORT,
+            max_push: f64::from(haptic.fixture.max.0) / PER_EFFORT,
             last_period: None,
             received_at: Instant::now(),
             stale_reports: 0,

@@ -4,7 +4,7 @@ use super::app::{App, OnAck};
 use super::keys::Key;
 use super::master::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, PER_SCALE};
 use super::view_model::{Overlay, Severity};
-use haptimill_firmware::haptics::feedback_law::MOST;
+use haptimill_firmware::haptics::feedback_law::MAX;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32};
 use haptimill_protocol::haptic::{
     COMPONENT_NAMES, COMPONENTS, ForceFeedback, ForceFeedbackAxis, VirtualFixture,
@@ -114,7 +114,7 @@ impl App {
 
     /// Sets a field to a number within its range.
     fn set_field(&mut self, field: Field, value: f64) {
-        let limit_n = f64::from(MOST.0) / PER_EFFORT;
+        let limit_n = f64::from(MAX.0) / PER_EFFORT;
         match field {
             Field::Percent(axis) if value <= 100.0 && value.fract() == 0.0 => {
                 self.change_feedback(axis, |axis| axis.percent = value as u8);
@@ -160,7 +160,7 @@ impl App {
                 let limit_n = f64::from(axis.limit) / PER_EFFORT + sign * LIMIT_STEP_N;
                 // Rounded to tenths, so that one step up and one down restore the value.
                 let limit = to_i32((limit_n * 10.0).round() / 10.0 * PER_EFFORT);
-                axis.limit = limit.clamp(0, MOST.0);
+                axis.limit = limit.clamp(0, MAX.0);
             }),
             Field::Scale => {
                 let Some(setting) = self.master.as_ref().and_then(|master| master.scale) else {

@@ -131,8 +131,8 @@ fn the_options_reach_the_program() {
     let sides = |text: &str, letter| {
         let all = words(text, letter);
         let cut = &all[1..all.len() - 1];
-        let least = cut.iter().copied().fold(f64::INFINITY, f64::min);
-        (least, cut.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+        let min = cut.iter().copied().fold(f64::INFINITY, f64::min);
+        (min, cut.iter().copied().fold(f64::NEG_INFINITY, f64::max))
     };
     for (place, x, y) in [
         (

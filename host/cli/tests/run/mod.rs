@@ -138,11 +138,11 @@ fn slot_writes_all_files_bit_identically() {
         rows.len()
     );
     let value = |row: &csv::StringRecord, column: usize| row[column].parse::<f64>().unwrap();
-    let least = rows
+    let min = rows
         .iter()
         .map(|row| value(row, x))
         .fold(f64::INFINITY, f64::min);
-    assert!((least + 30.0).abs() < 0.05, "the slot ends at {least}");
+    assert!((min + 30.0).abs() < 0.05, "the slot ends at {min}");
     assert!(value(rows.last().unwrap(), x).abs() < 0.05);
     assert!(rows.iter().any(|row| value(row, l1).abs() > 1e-4));
     assert!(rows.iter().all(|row| value(row, alpha).abs() < 1e-3));
@@ -186,7 +186,7 @@ fn pocket_and_circle_keep_their_tolerances() {
     let names = reader.headers().unwrap().clone();
     let column = |name: &str| names.iter().position(|known| known == name).unwrap();
     let (x, y, line) = (column("x_tool_mm"), column("y_tool_mm"), column("line"));
-    let (mut least, mut most, mut rows) = (f64::INFINITY, 0.0_f64, 0);
+    let (mut min, mut max, mut rows) = (f64::INFINITY, 0.0_f64, 0);
     for row in reader
         .records()
         .map(Result::unwrap)
@@ -194,13 +194,13 @@ fn pocket_and_circle_keep_their_tolerances() {
     {
         let value = |column: usize| row[column].parse::<f64>().unwrap();
         let radius = (value(x) + 15.0).hypot(value(y));
-        (least, most, rows) = (least.min(radius), most.max(radius), rows + 1);
+        (min, max, rows) = (min.min(radius), max.max(radius), rows + 1);
     }
     assert!(rows > 4000, "{rows} rows on the circle");
-    println!("circle: radius {least:.4} to {most:.4} mm");
+    println!("circle: radius {min:.4} to {max:.4} mm");
     assert!(
-        most - least < 0.05 && (most - 15.0).abs() < 0.03,
-        "{least} to {most}"
+        max - min < 0.05 && (max - 15.0).abs() < 0.03,
+        "{min} to {max}"
     );
 }
 

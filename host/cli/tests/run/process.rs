@@ -25,15 +25,15 @@ fn a_cut_reports_force_volume_and_surface() {
     let forces: Vec<f64> = job
         .map(|record| magnitude(record.true_force) / 65536.0)
         .collect();
-    let most = forces.iter().copied().fold(0.0, f64::max);
-    assert!(most > 1.0, "nothing was cut");
+    let max = forces.iter().copied().fold(0.0, f64::max);
+    assert!(max > 1.0, "nothing was cut");
     assert!(
-        (number(&summary, "force_max_n") - most).abs() < 1e-9,
+        (number(&summary, "force_max_n") - max).abs() < 1e-9,
         "{summary:#}"
     );
     let mean_square = forces.iter().map(|force| force * force).sum::<f64>() / forces.len() as f64;
     let error = number(&summary, "force_rms_n") - mean_square.sqrt();
-    assert!(error.abs() < 1e-9 * most, "{summary:#}");
+    assert!(error.abs() < 1e-9 * max, "{summary:#}");
     // A ball of 4 mm radius, 2 mm deep, along 30 mm: segment of the circle, and half a cap at each
     // end. The tool is within 0.015 mm of its path.
     let (radius, depth, length): (f64, f64, f64) = (4.0, 2.0, 30.0);
@@ -59,10 +59,10 @@ fn a_cut_reports_force_volume_and_surface() {
         "Force on the simulated tool".to_string(),
         "Cut surface".to_string(),
         "data:image/png;base64".to_string(),
-        format!("<b>{most:.2} N</b><span>force, largest</span>"),
+        format!("<b>{max:.2} N</b><span>force, largest</span>"),
         row(
             "Force on the tool, rms / largest",
-            format!("{rms:.3} / {most:.3} N"),
+            format!("{rms:.3} / {max:.3} N"),
         ),
         row("Spindle speed, largest", "5000 rev/min".to_string()),
         row("Volume removed", format!("{removed:.1} mm^3")),

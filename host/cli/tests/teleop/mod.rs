@@ -67,9 +67,7 @@ fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, 
     let change = rates
         .windows(11)
         .map(|rates| ((rates[10] - rates[0]) / (10.0 * period_s)).abs());
-    let fastest = rates
-        .iter()
-        .fold(0.0, |most: f64, rate| most.max(rate.abs()));
+    let fastest = rates.iter().fold(0.0, |max: f64, rate| max.max(rate.abs()));
     (change.fold(0.0, f64::max), fastest)
 }
 
@@ -99,8 +97,8 @@ fn expect_no_force_step(master: &[Record]) {
         .max()
         .unwrap();
     // The force reached at least 0.5 N.
-    let most = master.iter().flat_map(|record| record.haptic.force);
-    assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
+    let max = master.iter().flat_map(|record| record.haptic.force);
+    assert!(max.map(i32::abs).max().unwrap() > 1 << 15);
     assert!(
         step <= 65_536 / 20 + 1,
         "{} N in a period",
@@ -174,19 +172,19 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
                 .collect()
         })
         .collect();
-    let most = |column: usize| {
+    let max = |column: usize| {
         rows.iter()
-            .fold(0.0, |most: f64, row| most.max(row[column].abs()))
+            .fold(0.0, |max: f64, row| max.max(row[column].abs()))
     };
     assert!(rows.iter().any(|row| row[4] == 1.0) && rows.iter().any(|row| row[4] == 0.0));
     assert!((599.0..600.5).contains(&rows[0][3]), "{:?}", rows[0]);
     assert!(
-        most(7) > 0.4 && most(10) > 0.2 && most(10) <= 1.2001,
+        max(7) > 0.4 && max(10) > 0.2 && max(10) <= 1.2001,
         "{} {}",
-        most(7),
-        most(10)
+        max(7),
+        max(10)
     );
-    assert_eq!(most(13), 0.0);
+    assert_eq!(max(13), 0.0);
     let info = haptimill(&["trace", "info", &trace]).expect_code(0);
     assert!(info.out.contains("x_master_feedback_n"), "{}", info.out);
     // The axes of the handle are unit vectors at right angles, in the recording and in the table.

@@ -303,10 +303,10 @@ impl Stream {
             return Ok(Some(batch));
         }
         let free = self.credit.saturating_sub(self.sent) as usize;
-        let least = if self.starved { 1 } else { self.batch };
+        let min = if self.starved { 1 } else { self.batch };
         match self.setpoints.peek() {
             Poll::Pending => return Ok(None),
-            Poll::Ready(Some(_)) if free < least => return Ok(None),
+            Poll::Ready(Some(_)) if free < min => return Ok(None),
             Poll::Ready(_) => {}
         }
         let mut batch = SetpointBatch {

@@ -246,14 +246,14 @@ impl Board {
         let bad = |what: &dyn fmt::Display| {
             Error::new(ErrorKind::BadInput, format!("{} {what}", path.display()))
         };
-        let bytes = input::read(path, MOST).map_err(|error| bad(&error))?;
+        let bytes = input::read(path, MAX).map_err(|error| bad(&error))?;
         uf2::read(&bytes, self.family).map_err(|what| bad(&what))?;
         Ok(bytes)
     }
 }
 
 /// Largest UF2 file: 16 MiB of flash.
-const MOST: u64 = 32 << 20;
+const MAX: u64 = 32 << 20;
 
 /// File of a boot ROM.
 const INFO: &str = "INFO_UF2.TXT";

@@ -17,7 +17,7 @@ const LONGEST: usize = 4096;
 const LONGEST_ANSWER: u64 = 1 << 16;
 
 /// Connections at most.
-const MOST: usize = 8;
+const MAX: usize = 8;
 
 /// Longest wait for an answer: a job looks for requests every few milliseconds, and not during a
 /// probe move.
@@ -66,7 +66,7 @@ impl Control {
 
     /// Answers the requests that have arrived; never waits.
     pub fn serve(&mut self, mut answer: impl FnMut(&str) -> String) {
-        while self.peers.len() < MOST
+        while self.peers.len() < MAX
             && let Ok((stream, _)) = self.listener.accept()
         {
             if stream.set_nonblocking(true).is_ok() {

@@ -14,7 +14,7 @@ mod token;
 
 #[cfg(unix)]
 pub use control::{Control, ask};
-pub use observers::{MOST_UNREAD, Observers};
+pub use observers::{MAX_UNREAD, Observers};
 pub use serial::{Flow, SerialTransport, board_of, list, list_of};
 #[cfg(unix)]
 pub use serve::PtyServer;

@@ -12,7 +12,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 /// Observers at most.
-const MOST: usize = 32;
+const MAX: usize = 32;
 
 /// Connections that have not sent their token at most; of more, the oldest is closed.
 const CANDIDATES: usize = 16;
@@ -30,10 +30,10 @@ const EVERY: Duration = Duration::from_millis(10);
 const TOKEN_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bytes kept for an observer that does not read; of more, whole lines are left out.
-pub const MOST_UNREAD: usize = 1 << 16;
+pub const MAX_UNREAD: usize = 1 << 16;
 
 /// Bytes that are read of an observer at most.
-const MOST_RECEIVED: usize = 4096;
+const MAX_RECEIVED: usize = 4096;
 
 /// Serves observers on a TCP port.
 pub struct Observers {
@@ -115,7 +115,7 @@ impl Observers {
             if stream.set_nonblocking(true).is_err() {
                 continue;
             }
-            if self.token.is_none() && self.admitted() >= MOST {
+            if self.token.is_none() && self.admitted() >= MAX {
                 let _ = stream.write(BUSY);
                 continue;
             }
@@ -138,7 +138,7 @@ impl Observers {
         let mut admitted = self.admitted();
         self.all.retain_mut(|observer| {
             let was_admitted = observer.is_admitted;
-            let stays = observer.serve(token, admitted < MOST);
+            let stays = observer.serve(token, admitted < MAX);
             admitted += usize::from(stays && !was_admitted && observer.is_admitted);
             stays
         });
@@ -151,7 +151,7 @@ impl Observers {
     /// Sends a line to every observer; never waits.
     pub fn send(&mut self, line: &str) {
         for observer in self.all.iter_mut().filter(|it| it.is_admitted) {
-            if observer.unread.len() + line.len() < MOST_UNREAD {
+            if observer.unread.len() + line.len() < MAX_UNREAD {
                 observer.unread.extend_from_slice(line.as_bytes());
                 observer.unread.push(b'\n');
             }
@@ -186,7 +186,7 @@ impl Observer {
                 }
                 Ok(None)
                     if self.since.elapsed() < TOKEN_TIMEOUT
-                        && self.received.len() < MOST_RECEIVED => {}
+                        && self.received.len() < MAX_RECEIVED => {}
                 _ => {
                     let _ = self.stream.write(DENIED);
                     return false;
@@ -238,14 +238,14 @@ mod tests {
         let mut observers = observers.with_token(&token);
         // More than the observers at most, all silent, and none times out before the end.
         let mut silent = Vec::new();
-        for _ in 0..2 * MOST {
+        for _ in 0..2 * MAX {
             silent.push(connect(&observers));
             observers.advance();
         }
         let mut watching = connect(&observers);
         watching.write_all(&token.line()).unwrap();
         serve_until(&mut observers, Observers::has_any);
-        assert!(observers.all.len() <= MOST + CANDIDATES);
+        assert!(observers.all.len() <= MAX + CANDIDATES);
         observers.send("a line");
         serve_until(&mut observers, |it| {
             it.all.iter().all(|it| it.unread.is_empty())
@@ -261,7 +261,7 @@ mod tests {
         let observers = Observers::listen("127.0.0.1:0").unwrap();
         let mut observers = observers.with_token(&token);
         let mut open = Vec::new();
-        for count in 1..=MOST {
+        for count in 1..=MAX {
             let mut stream = connect(&observers);
             stream.write_all(&token.line()).unwrap();
             open.push(stream);
@@ -278,7 +278,7 @@ mod tests {
             std::thread::sleep(Duration::from_millis(1));
         }
         assert_eq!(answer, BUSY);
-        assert_eq!(observers.admitted(), MOST);
+        assert_eq!(observers.admitted(), MAX);
     }
 
     #[test]
@@ -286,7 +286,7 @@ mod tests {
         let mut observers = Observers::listen("127.0.0.1:0").unwrap();
         let idle = connect(&observers);
         serve_until(&mut observers, Observers::has_any);
-        let line = "x".repeat(MOST_UNREAD / 2);
+        let line = "x".repeat(MAX_UNREAD / 2);
         let until = Instant::now() + LIMIT;
         while observers.has_any() {
             assert!(Instant::now() < until, "it keeps its place");

@@ -63,7 +63,7 @@ const CANDIDATES: usize = 16;
 
 /// Bytes that are read from a connection per check, and in total while it is not the host.
 const CANDIDATE_BYTES: usize = 512;
-const MOST_CANDIDATE_BYTES: usize = 4096;
+const MAX_CANDIDATE_BYTES: usize = 4096;
 
 /// Time in which a new connection must send its token and a Hello.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
@@ -186,7 +186,7 @@ impl TcpServer {
             self.stop = true;
             candidate.received.truncate(from);
         }
-        if ended || candidate.received.len() > MOST_CANDIDATE_BYTES {
+        if ended || candidate.received.len() > MAX_CANDIDATE_BYTES {
             return None;
         }
         if candidate.is_rejected {

@@ -114,7 +114,7 @@ fn note_lost(
                  of other contours cover it; use a thinner tool with --tool",
                 options.tool_mm
             ));
-        } else if let Some((at, off)) = region.least_reached(
+        } else if let Some((at, off)) = region.min_reached(
             &one,
             reached,
             options.tool_mm,
@@ -163,7 +163,7 @@ fn time(cuts: &[Cut], options: &Options) -> f64 {
 
 /// Refuses a pocket of more rows than memory and time allow.
 fn check_rows(paths: &[Path], options: &Options) -> Result<(), Problem> {
-    const MOST: f64 = 1e6;
+    const MAX: f64 = 1e6;
     let closed = paths.iter().filter(|path| path.closed);
     let boxes = closed.filter_map(Path::bounds);
     // A row ends at two contours; each contour has at most as many as it is wide.
@@ -173,7 +173,7 @@ fn check_rows(paths: &[Path], options: &Options) -> Result<(), Problem> {
     let spacing = options.tool_mm * options.overlap;
     let passes = passes(options.depth_mm, options.step_mm);
     let rows = width / spacing * passes;
-    if rows <= MOST {
+    if rows <= MAX {
         return Ok(());
     }
     Err(Problem::general(
@@ -184,7 +184,7 @@ fn check_rows(paths: &[Path], options: &Options) -> Result<(), Problem> {
             short(rows.ceil())
         ),
         format!(
-            "at most {MOST} rows are planned: use a wider tool, a larger --overlap, or fewer passes"
+            "at most {MAX} rows are planned: use a wider tool, a larger --overlap, or fewer passes"
         ),
     ))
 }

@@ -8,7 +8,7 @@ use crate::toolpath::{Depths, Tabs, levels, passes};
 use serde::Serialize;
 
 /// Largest number of passes.
-const MOST_PASSES: f64 = 10_000.0;
+const MAX_PASSES: f64 = 10_000.0;
 
 /// What is done with the paths of the drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -123,22 +123,22 @@ impl Options {
             ("depth of a pass", self.step_mm, 1000.0),
             ("row distance", self.overlap, 1.0),
         ];
-        for (name, value, most) in positive {
-            if !(value > 0.0 && value <= most) {
+        for (name, value, max) in positive {
+            if !(value > 0.0 && value <= max) {
                 return Err(Problem::general(
                     format!("the {name} is {}", short(value)),
-                    format!("it must be above 0 and at most {most}"),
+                    format!("it must be above 0 and at most {max}"),
                 ));
             }
         }
         let passes = passes(self.depth_mm, self.step_mm);
-        if passes > MOST_PASSES {
+        if passes > MAX_PASSES {
             return Err(Problem::general(
                 format!(
                     "a depth of {} mm in steps of {} mm is {passes} passes",
                     self.depth_mm, self.step_mm
                 ),
-                format!("use steps with at most {MOST_PASSES} passes"),
+                format!("use steps with at most {MAX_PASSES} passes"),
             ));
         }
         if self.operation == Operation::Pocket && self.overlap > 0.5 {

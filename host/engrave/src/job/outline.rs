@@ -312,7 +312,7 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
         _ => air_mm,
     };
     let of_conditions = || {
-        let (mut best, mut least) = (Vec::new(), f64::INFINITY);
+        let (mut best, mut min) = (Vec::new(), f64::INFINITY);
         let mut candidates = Vec::new();
         for &condition in shown {
             let order = edges::order(&ends, condition, options.reference).order;
@@ -322,17 +322,17 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
             let candidate = measured(&cuts, condition.name(), options);
             let is_file = condition == Condition::File;
             let cost = cost(&cuts, candidate.lengths.air_mm);
-            if cost < least && (is_file || options.ordering != Ordering::File) {
-                (best, least) = (cuts, cost);
+            if cost < min && (is_file || options.ordering != Ordering::File) {
+                (best, min) = (cuts, cost);
             }
             candidates.push(candidate);
         }
-        (best, least, candidates)
+        (best, min, candidates)
     };
     let (mut best, name);
     if options.ordering == Ordering::Short {
         let passes = depths.levels.len();
-        let (tour, (others, least, candidates)) = std::thread::scope(|scope| {
+        let (tour, (others, min, candidates)) = std::thread::scope(|scope| {
             let others = scope.spawn(of_conditions);
             let tour = order_passes(&chains, passes, options.reference, Effort::default());
             let others = others.join();
@@ -353,7 +353,7 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
         // Chains stay whole in the tour, not in the orders above: one of these may take less time.
         // What counts is what is cut: after a ramp a closed path ends beside its start. Only in the
         // tour have all contours their tabs.
-        if depths.tabs.is_some() || time(&best, options) <= least + 1e-9 {
+        if depths.tabs.is_some() || time(&best, options) <= min + 1e-9 {
             job.proven = tour.proven;
             name = "chains, reversed and started anywhere";
         } else {

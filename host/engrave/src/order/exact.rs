@@ -43,14 +43,14 @@ pub fn shortest(pieces: &[Vec<[Point; 2]>], reference: Point) -> Option<Vec<(usi
         return None;
     }
     // Least length to have cut a set of pieces, ending with an option of one of them.
-    let mut least = vec![f64::INFINITY; all * width];
+    let mut min = vec![f64::INFINITY; all * width];
     let mut before = vec![u32::MAX; all * width];
     for (last, &(piece, _, ends)) in options.iter().enumerate() {
-        least[(1 << piece) * width + last] = gap(reference, ends[0]);
+        min[(1 << piece) * width + last] = gap(reference, ends[0]);
     }
     for set in 1..all {
         for (last, &(piece, _, ends)) in options.iter().enumerate() {
-            let length = least[set * width + last];
+            let length = min[set * width + last];
             if set & (1 << piece) == 0 || !length.is_finite() {
                 continue;
             }
@@ -60,15 +60,15 @@ pub fn shortest(pieces: &[Vec<[Point; 2]>], reference: Point) -> Option<Vec<(usi
                 }
                 let slot = (set | 1 << other) * width + next;
                 let total = length + gap(ends[1], to[0]);
-                if total < least[slot] {
-                    least[slot] = total;
+                if total < min[slot] {
+                    min[slot] = total;
                     before[slot] = last as u32;
                 }
             }
         }
     }
     let mut set = all - 1;
-    let home = |last: usize| least[set * width + last] + distance(options[last].2[1], reference);
+    let home = |last: usize| min[set * width + last] + distance(options[last].2[1], reference);
     let mut last = (0..width).min_by(|&a, &b| home(a).total_cmp(&home(b)))?;
     let mut order = Vec::with_capacity(pieces.len());
     loop {

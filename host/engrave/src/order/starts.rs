@@ -38,15 +38,15 @@ struct Node {
 impl Node {
     /// Square of the distance of the box from a point, a little less than it is.
     #[inline]
-    fn least(&self, [x, y]: Point) -> f64 {
+    fn square_from(&self, [x, y]: Point) -> f64 {
         let [low, high] = self.bounds;
-        least_square([x, y], [x.clamp(low[0], high[0]), y.clamp(low[1], high[1])])
+        low_square([x, y], [x.clamp(low[0], high[0]), y.clamp(low[1], high[1])])
     }
 }
 
 /// Square of a distance, a little less than it is: most distances need no root.
 #[inline]
-fn least_square(a: Point, b: Point) -> f64 {
+fn low_square(a: Point, b: Point) -> f64 {
     let (x, y) = (a[0] - b[0], a[1] - b[1]);
     (x * x + y * y) * (1.0 - ROUNDING)
 }
@@ -61,7 +61,7 @@ struct Nearest {
 impl Nearest {
     #[inline]
     fn offer(&mut self, at: Point, point: Point, command: u32) {
-        if least_square(at, point) > self.square {
+        if low_square(at, point) > self.square {
             return;
         }
         let off = distance(point, at);
@@ -175,7 +175,7 @@ impl Starts {
     fn visit_within(&self, at: Point, reach: f64, part: Part, found: &mut u32) {
         let (index, from, to) = part;
         let node = &self.nodes[index];
-        if node.first >= *found || node.least(at) > reach * reach {
+        if node.first >= *found || node.square_from(at) > reach * reach {
             return;
         }
         if to - from <= LEAF {
@@ -207,7 +207,7 @@ impl Starts {
     fn visit_nearest(&self, at: Point, part: Part, best: &mut Nearest) {
         let (index, from, to) = part;
         let node = &self.nodes[index];
-        if node.first == NONE || node.least(at) > best.square {
+        if node.first == NONE || node.square_from(at) > best.square {
             return;
         }
         // Starts in one place are equally near.
@@ -222,8 +222,8 @@ impl Starts {
             return;
         }
         let [one, other] = halves(part);
-        let least = |part: Part| self.nodes[part.0].least(at);
-        let (near, far) = if least(other) < least(one) {
+        let min = |part: Part| self.nodes[part.0].square_from(at);
+        let (near, far) = if min(other) < min(one) {
             (other, one)
         } else {
             (one, other)

@@ -16,14 +16,14 @@ pub struct Effort {
     /// Kicks for each path.
     pub kicks_per_path: usize,
     /// Largest number of kicks.
-    pub most_kicks: usize,
+    pub max_kicks: usize,
 }
 
 impl Default for Effort {
     fn default() -> Self {
         Self {
             kicks_per_path: 25,
-            most_kicks: 30_000,
+            max_kicks: 30_000,
         }
     }
 }
@@ -176,7 +176,7 @@ fn search_among(
         .collect();
     let is_placed = used.iter().any(|&path| pieces.has_one_place(path));
     let rounds = if is_placed { 3 } else { 1 };
-    let kicks = (effort.kicks_per_path * used.len()).min(effort.most_kicks) / rounds;
+    let kicks = (effort.kicks_per_path * used.len()).min(effort.max_kicks) / rounds;
     let width = nearness.width();
     let mut random = Random(1);
     for round in 0..rounds {

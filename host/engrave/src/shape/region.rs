@@ -301,10 +301,10 @@ impl Region {
         }
         let distance = distance.abs();
         let turns = std::f64::consts::PI * distance * distance * islands.len() as f64;
-        let most = outer.length() * distance + turns;
-        let least = self.length() * distance - turns;
+        let max = outer.length() * distance + turns;
+        let min = self.length() * distance - turns;
         let slack = EXACT * (outer.length() + distance);
-        if lost > most + slack || lost < least - slack {
+        if lost > max + slack || lost < min - slack {
             return false;
         }
         // No nearer: the tool would cut what stays.
@@ -434,12 +434,12 @@ impl Region {
     #[must_use]
     pub fn distance_within(&self, at: Point, limit: f64) -> Option<f64> {
         let (low, high) = (at.map(|one| one - limit), at.map(|one| one + limit));
-        let mut least = f64::INFINITY;
+        let mut min = f64::INFINITY;
         self.visit_segments([low, high], &mut |segment| {
             let near = segment.point(segment.nearest(at));
-            least = least.min(crate::geometry::distance(near, at));
+            min = min.min(crate::geometry::distance(near, at));
         });
-        (least <= limit).then_some(least)
+        (min <= limit).then_some(min)
     }
 
     /// Whether the boundaries are within a distance of all of a path, looked at every `step`, mm.
@@ -453,7 +453,7 @@ impl Region {
     /// than at a corner of about 60 degrees, half a diameter, unless the loop is known to be
     /// `split`.
     #[must_use]
-    pub fn least_reached(
+    pub fn min_reached(
         &self,
         path: &Path,
         reached: &Self,

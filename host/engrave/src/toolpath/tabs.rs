@@ -134,16 +134,16 @@ impl Way {
     /// tab and the tool are wide; at corners and bends it is longer than on a line. Where it would
     /// be too long, as on a small circle, it is that of a line.
     fn half(&self, along: f64, tabs: &Tabs, tool_mm: f64) -> f64 {
-        let least = tabs.width_mm + tool_mm;
-        let most = tabs.longest_half(self.total);
-        let mut half = least / 2.0;
-        while half < most {
-            if self.apart(along, half) >= least - 1e-9 {
+        let min = tabs.width_mm + tool_mm;
+        let max = tabs.longest_half(self.total);
+        let mut half = min / 2.0;
+        while half < max {
+            if self.apart(along, half) >= min - 1e-9 {
                 return half;
             }
             half *= 1.02;
         }
-        least / 2.0
+        min / 2.0
     }
 
     /// Distance of the ends of a length about a point.
@@ -181,10 +181,10 @@ pub fn tabs_of(path: &Path, tabs: &Tabs, tool_mm: f64) -> Vec<Tab> {
     if tabs.count == 0 || tabs.length(tool_mm) >= way.total {
         return Vec::new();
     }
-    let least = tabs.width_mm + tool_mm;
+    let min = tabs.width_mm + tool_mm;
     let pitch = way.total / tabs.count as f64;
     // As far as two tabs that come nearer to each other stay apart.
-    let room = (pitch - least) / 2.0;
+    let room = (pitch - min) / 2.0;
     // Middle and half of the length of each.
     let mut held: Vec<[f64; 2]> = Vec::with_capacity(tabs.count);
     for k in 0..tabs.count {
@@ -201,12 +201,12 @@ pub fn tabs_of(path: &Path, tabs: &Tabs, tool_mm: f64) -> Vec<Tab> {
             if beside.any(|[other, reach]| way.between(*other, along) < reach + half - 1e-9) {
                 continue;
             }
-            let is_narrow = way.apart(along, half) < least - 1e-6;
+            let is_narrow = way.apart(along, half) < min - 1e-6;
             let cost = if is_narrow { f64::MAX } else { half };
-            if cost < best.0 - 0.01 * least {
+            if cost < best.0 - 0.01 * min {
                 best = (cost, along);
             }
-            if cost <= 0.5 * least {
+            if cost <= 0.5 * min {
                 break;
             }
         }
@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     /// Least length that is cut between two neighbours of the tabs of a path, mm.
-    fn least_gap(path: &Path, tabs: Tabs, tool_mm: f64) -> f64 {
+    fn min_gap(path: &Path, tabs: Tabs, tool_mm: f64) -> f64 {
         let way = Way::of(path);
         let depths = Depths {
             tabs: Some((tabs, tool_mm)),
@@ -262,7 +262,7 @@ mod tests {
                     if tabs.length(tool_mm) > 0.95 * path.length() {
                         continue;
                     }
-                    let gap = least_gap(&path, tabs, tool_mm);
+                    let gap = min_gap(&path, tabs, tool_mm);
                     assert!(gap > -1e-6, "{points} {inner} {count} {gap}");
                 }
             }
@@ -284,7 +284,7 @@ mod tests {
                 width_mm,
                 height_mm: 1.0,
             };
-            let gap = least_gap(&Path::polygon(&corners, 0), tabs, 3.0);
+            let gap = min_gap(&Path::polygon(&corners, 0), tabs, 3.0);
             assert!(gap > 0.2, "{width} x {height}: {gap}");
         }
     }

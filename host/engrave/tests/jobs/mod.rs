@@ -417,7 +417,7 @@ fn contours_are_a_radius_away_from_the_drawing() {
                 ..Options::default()
             };
             let job = plan(&drawing, &options).unwrap();
-            let (mut least, mut on_contour) = (f64::INFINITY, 0.0);
+            let (mut min, mut on_contour) = (f64::INFINITY, 0.0);
             for cut in &job.toolpath.cuts {
                 for step in &cut.steps {
                     let PathStep::Along(one, _) = step else {
@@ -425,13 +425,13 @@ fn contours_are_a_radius_away_from_the_drawing() {
                     };
                     let off = |k: i32| off_paths(&drawing, one.point(f64::from(k) / 16.0));
                     let offs: Vec<f64> = (0..=16).map(off).collect();
-                    least = offs.iter().copied().fold(least, f64::min);
+                    min = offs.iter().copied().fold(min, f64::min);
                     if offs.iter().all(|off| (off - 0.5).abs() < 0.005) {
                         on_contour += one.length();
                     }
                 }
             }
-            assert!((least - 0.5).abs() < 0.005, "{name} {side:?}: {least}");
+            assert!((min - 0.5).abs() < 0.005, "{name} {side:?}: {min}");
             // The finishing pass is as long as the drawing, but for its corners.
             let drawn: f64 = drawing.paths.iter().map(Path::length).sum();
             assert!(

@@ -115,8 +115,8 @@ fn the_table_of_orders_has_the_lengths_of_their_programs() {
             assert_eq!(first.lifts, lengths.lifts);
         }
         let five = greedy.candidates[..5].iter().map(|one| one.lengths.air_mm);
-        let least = five.fold(f64::INFINITY, f64::min);
-        assert!((greedy.toolpath.lengths([0.0; 2]).air_mm - least).abs() < 1e-9);
+        let min = five.fold(f64::INFINITY, f64::min);
+        assert!((greedy.toolpath.lengths([0.0; 2]).air_mm - min).abs() < 1e-9);
     }
     // A pocket: the row of one-way rows is the job of one-way rows.
     let picture = layer("PICTURE");

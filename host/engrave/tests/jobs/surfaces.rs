@@ -97,10 +97,7 @@ fn a_shallow_cut_between_tabs_is_a_difference() {
         };
         let job = plan(&square, &options).unwrap();
         let report = compared(&square, &job, &options, 0.1);
-        assert!(
-            !report.differs() && report.least_depth_mm < 0.3,
-            "{report:?}"
-        );
+        assert!(!report.differs() && report.min_depth_mm < 0.3, "{report:?}");
         let shallow = Options {
             depth_mm: 1.0,
             tabs: None,

@@ -57,15 +57,15 @@ fn the_walls_of_a_pocket_are_cut_in_the_direction_asked_for() {
     }
 }
 
-/// A circle of `count` vertices that are off by up to `most` mm, as a program traces a picture.
-fn traced(radius: f64, count: usize, most: f64) -> String {
+/// A circle of `count` vertices that are off by up to `max` mm, as a program traces a picture.
+fn traced(radius: f64, count: usize, max: f64) -> String {
     let mut state = 1_u64;
     let mut text = format!("0 LWPOLYLINE\n5 A\n8 0\n90 {count}\n70 1\n");
     for k in 0..count {
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
-        let noise = (state >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 * most - most;
+        let noise = (state >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 * max - max;
         let (sin, cos) = (k as f64 / count as f64 * std::f64::consts::TAU).sin_cos();
         let off = radius + noise;
         text += &format!("10 {:.6}\n20 {:.6}\n", off * cos, off * sin);

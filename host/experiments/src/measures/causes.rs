@@ -274,7 +274,7 @@ fn admittance(context: &Context, row: &RowCurve, reason: &Reason) -> CauseCurves
             let reached = |factor: f64| {
                 let points = with(&|push| factor * push.force);
                 let inside = points.iter().filter(|(t, _)| (from..=to).contains(t));
-                inside.fold(0.0, |most: f64, (_, value)| most.max(value.abs()))
+                inside.fold(0.0, |max: f64, (_, value)| max.max(value.abs()))
             };
             let factor = factor(reached, goal.abs());
             let label = format!("(3.30), {factor:.2} times the force");

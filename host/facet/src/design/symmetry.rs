@@ -147,10 +147,10 @@ impl Design {
         if alone.is_empty() {
             return;
         }
-        let most = self.facets.iter().map(|facet| facet.index);
-        let most = most.fold(0.0, f64::max);
+        let max = self.facets.iter().map(|facet| facet.index);
+        let max = max.fold(0.0, f64::max);
         let fits = |teeth: &&u32| {
-            f64::from(**teeth) >= most
+            f64::from(**teeth) >= max
                 && **teeth != self.gear
                 && teeth.is_multiple_of(self.symmetry.order)
                 && self.without_partners(**teeth).is_empty()

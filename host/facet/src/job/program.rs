@@ -45,7 +45,7 @@ fn comment(program: &mut String, text: &str) {
 impl Job {
     /// Maximum feed into the stone where its force is not held, mm/s.
     #[must_use]
-    pub fn most_feed_mm_s(&self) -> f64 {
+    pub fn max_feed_mm_s(&self) -> f64 {
         match self.settings.mode {
             Mode::Force => FORCE_FEED,
             Mode::Feed | Mode::Both => {
@@ -149,7 +149,7 @@ impl Job {
             comment(text, what);
             let what = format!(
                 "without it the stone is fed at up to {} mm/s whatever the force",
-                self.most_feed_mm_s()
+                self.max_feed_mm_s()
             );
             comment(text, &what);
         }

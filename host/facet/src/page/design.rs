@@ -162,7 +162,7 @@ impl View<'_> {
             let mut largest: Option<(&Face, f64)> = None;
             for face in self.seen().filter(|face| tier.facets.contains(&face.tag)) {
                 // Of facets of one size the first one is taken, whatever the last digits are.
-                if largest.is_none_or(|(_, most)| area(face) > 1.001 * most) {
+                if largest.is_none_or(|(_, max)| area(face) > 1.001 * max) {
                     largest = Some((face, area(face)));
                 }
             }

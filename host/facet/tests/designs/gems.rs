@@ -184,13 +184,13 @@ fn a_culet_of_very_many_facets_is_cut_in_seconds() {
     let started = std::time::Instant::now();
     let design = read("cone.asc", text.as_bytes()).unwrap();
     let gem = Gem::new("cone.asc", design, 6.0, None).unwrap();
-    let most = gem
+    let max = gem
         .meets
         .iter()
         .map(|meet| meet.facets.len())
         .max()
         .unwrap();
-    assert!(most > 800, "{most} facets in a point");
+    assert!(max > 800, "{max} facets in a point");
     let gain = gem.meets.iter().map(|meet| meet.gain).fold(0.0, f64::max);
     assert!(gain > 10.0, "{gain}");
     println!("gain {gain} in {:.1?}", started.elapsed());

@@ -2,7 +2,7 @@
 
 use super::{SMALL, gem, small};
 use haptimill_facet::{
-    Coolant, Gem, Job, JobSettings, Mode, Side, check_machine, coolant, index_wraps, most_force_n,
+    Coolant, Gem, Job, JobSettings, Mode, Side, check_machine, coolant, index_wraps, max_force_n,
     read,
 };
 use haptimill_hil_sim::polyhedron::Plane;
@@ -113,8 +113,8 @@ fn facets_that_the_machine_cannot_reach_are_refused() {
     let found = refused(&sized(2.5), &weak, Mode::Force);
     let expected = "facet.toml: the force of lap 260 is 4 N, and the machine stops at 7 N; lower";
     assert!(found.starts_with(expected), "{found}");
-    assert!((most_force_n(&weak) - 2.625).abs() < 1e-9);
-    assert!((most_force_n(&plain) - 15.0).abs() < 1e-9);
+    assert!((max_force_n(&weak) - 2.625).abs() < 1e-9);
+    assert!((max_force_n(&plain) - 15.0).abs() < 1e-9);
 }
 
 /// Before each pause the lap and the coolant stop, and a facet is ground with both. The stone is
@@ -367,7 +367,7 @@ fn the_stated_feed_is_that_of_the_strokes() {
         settings.laps[0].feed_mm_s = 0.05;
         let stroke_s = settings.sweep_mm / settings.sweep_mm_s;
         let job = Job::new(&gem, settings).unwrap();
-        let mut most = 0.0_f64;
+        let mut max = 0.0_f64;
         for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
             let strokes = operation
                 .grind
@@ -378,13 +378,13 @@ fn the_stated_feed_is_that_of_the_strokes() {
                 .filter_map(|word| word.strip_prefix('Z')?.parse().ok())
                 .collect();
             for pair in heights.windows(2) {
-                most = most.max((pair[0] - pair[1]) / stroke_s);
+                max = max.max((pair[0] - pair[1]) / stroke_s);
             }
         }
-        let stated = job.most_feed_mm_s();
+        let stated = job.max_feed_mm_s();
         assert!(
-            most < stated + 1e-4 && most > 0.5 * stated,
-            "{mode:?}: {most}, {stated}"
+            max < stated + 1e-4 && max > 0.5 * stated,
+            "{mode:?}: {max}, {stated}"
         );
         let expected = if mode == Mode::Both { 0.05 } else { 0.15 };
         assert_eq!(stated, expected);

@@ -114,8 +114,8 @@ impl<M: MachineModel> Planner<M> {
         });
         let path = self.trajectory.last_path();
         let is_rounded = |corner: &Corner, speed: f64| {
-            let above = |parts: &Coordinates, factor: f64, least: f64| {
-                parts.iter().any(|part| part.abs() * factor > least)
+            let above = |parts: &Coordinates, factor: f64, min: f64| {
+                parts.iter().any(|part| part.abs() * factor > min)
             };
             above(&corner.change, speed, NO_CORNER) || above(&corner.bend, speed * speed, NO_BEND)
         };
@@ -155,18 +155,18 @@ impl<M: MachineModel> Planner<M> {
                 longest: f64::INFINITY,
                 path,
                 knot,
-                most: 100,
+                max: 100,
             };
             if !block.is_rapid && acceleration == 0.0 && jerk == 0.0 && speed > 0.0 {
-                let mut most = block.most / speed;
+                let mut max = block.max / speed;
                 if rounded[0] && number == 0 {
-                    most = most.min(corners[0].most(into));
+                    max = max.min(corners[0].max_factor(into));
                 }
                 if rounded[1] && number == last {
-                    most = most.min(corners[1].most(out));
+                    max = max.min(corners[1].max_factor(out));
                 }
                 // Below, for the rounding of setpoints.
-                piece.most = (most.min(2.0) * 100.0 + 1e-3).max(100.0) as u8;
+                piece.max = (max.min(2.0) * 100.0 + 1e-3).max(100.0) as u8;
             }
             self.time += duration;
             piece.longest = longest_on(&piece, self.time - piece.time, block);

@@ -123,7 +123,7 @@ proptest! {
         });
         let (_, made) = plan(&text, &settings());
         // The cubics are within 0.2 um of the planned motion in each coordinate.
-        let most = p + q.unwrap_or(0.0) + 4e-4;
+        let max = p + q.unwrap_or(0.0) + 4e-4;
         let mut nearest = vec![f64::INFINITY; points.len()];
         for (index, span) in spans(&made).iter().enumerate() {
             if made.line_of(index) < 4 {
@@ -134,7 +134,7 @@ proptest! {
                     .windows(2)
                     .map(|ends| distance(place, ends[0], ends[1]))
                     .fold(f64::INFINITY, f64::min);
-                prop_assert!(off <= most, "{off} mm from the program\n{text}");
+                prop_assert!(off <= max, "{off} mm from the program\n{text}");
             }
             let ends: Vec<_> = places(span).collect();
             for (nearest, point) in nearest.iter_mut().zip(&points) {
@@ -144,7 +144,7 @@ proptest! {
             }
         }
         for (point, nearest) in points.iter().zip(nearest) {
-            prop_assert!(nearest <= most, "{point:?} is passed in {nearest} mm\n{text}");
+            prop_assert!(nearest <= max, "{point:?} is passed in {nearest} mm\n{text}");
         }
     }
 
@@ -214,17 +214,17 @@ fn poses(span: &Span) -> impl Iterator<Item = Coordinates> {
 fn off_turning_line(at: &Coordinates, from: &Coordinates, to: &Coordinates) -> f64 {
     let along: Coordinates = std::array::from_fn(|k| to[k] - from[k]);
     // The cubics are within 0.0004 degrees of the planned motion.
-    let most = settings().tolerance_deg + 4e-4;
+    let max = settings().tolerance_deg + 4e-4;
     let (mut low, mut high) = (0.0f64, 1.0f64);
     for k in 3..5 {
         let off = at[k] - from[k];
         if along[k] == 0.0 {
-            if off.abs() > most {
+            if off.abs() > max {
                 return f64::INFINITY;
             }
             continue;
         }
-        let ends = [(off - most) / along[k], (off + most) / along[k]];
+        let ends = [(off - max) / along[k], (off + max) / along[k]];
         low = low.max(ends[0].min(ends[1]));
         high = high.min(ends[0].max(ends[1]));
     }
@@ -289,13 +289,10 @@ fn curves() -> [(&'static str, Curve); 2] {
 fn thousands_of_short_blocks_keep_their_feed() {
     for (name, place) in curves() {
         let speeds = speeds(&short_blocks("G64 Q0", 240.0, place));
-        let least = speeds.iter().copied().fold(f64::INFINITY, f64::min);
-        println!(
-            "{name}: at least {least} mm/s in {} setpoints",
-            speeds.len()
-        );
+        let min = speeds.iter().copied().fold(f64::INFINITY, f64::min);
+        println!("{name}: at least {min} mm/s in {} setpoints", speeds.len());
         assert!(speeds.len() > 1000, "{name}");
-        assert!(least > 0.97 * 4.0, "{name}: {least} mm/s");
+        assert!(min > 0.97 * 4.0, "{name}: {min} mm/s");
     }
 }
 
@@ -323,16 +320,16 @@ fn joined_blocks_reach_their_feed() {
         let plan = short_blocks(mode, 1500.0, place);
         assert_eq!(plan.figures.blocks, 10_001, "{name}");
         let speeds = speeds(&plan);
-        let least = speeds.iter().copied().fold(f64::INFINITY, f64::min);
+        let min = speeds.iter().copied().fold(f64::INFINITY, f64::min);
         println!(
-            "{name}, {mode}: at least {least} mm/s in {} setpoints",
+            "{name}, {mode}: at least {min} mm/s in {} setpoints",
             speeds.len()
         );
         assert!(speeds.len() > 100, "{name}");
         let mean = speeds.iter().sum::<f64>() / speeds.len() as f64;
         assert!(
-            least > 0.8 * 25.0 && mean > 0.95 * 25.0,
-            "{name}: {least}, {mean} mm/s"
+            min > 0.8 * 25.0 && mean > 0.95 * 25.0,
+            "{name}: {min}, {mean} mm/s"
         );
         check_limits(&plan, &settings(), name);
         check_steps(&plan, &settings(), name);
@@ -391,10 +388,10 @@ fn joined_blocks_of_five_axes_reach_their_feed() {
         let program = read("t", text.as_bytes(), &options).expect("readable");
         Plan::new(&program, &settings(), &H4).expect("possible")
     };
-    let least = |plan: &Plan| speeds(plan).into_iter().fold(f64::INFINITY, f64::min);
-    let apart = least(&made("G64 Q0"));
+    let min = |plan: &Plan| speeds(plan).into_iter().fold(f64::INFINITY, f64::min);
+    let apart = min(&made("G64 Q0"));
     let plan = made("G64 P0.005");
-    let joined = least(&plan);
+    let joined = min(&plan);
     println!("five axes: at least {joined} mm/s, {apart} mm/s with Q0");
     assert!(
         joined > 0.9 * 20.0 && apart < 6.0,

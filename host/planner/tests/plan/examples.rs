@@ -45,15 +45,15 @@ fn setpoint_rate(plan: &Plan) -> (usize, f64) {
         time += f64::from(setpoint.periods) * plan.period_s;
         times.push(time);
     }
-    let mut most = 0;
+    let mut max = 0;
     let mut from = 0;
     for (index, time) in times.iter().enumerate() {
         while times[from] <= time - 1.0 {
             from += 1;
         }
-        most = most.max(index + 1 - from);
+        max = max.max(index + 1 - from);
     }
-    (most, times.len() as f64 / time)
+    (max, times.len() as f64 / time)
 }
 
 /// Duration from standstill to standstill over a length: constant speed plus the time of one ramp.
@@ -168,30 +168,30 @@ fn dome_never_stops_and_fits_the_baud_rate() {
     let first = end_of(&plan, line("dome.ngc", "F480") + 40);
     let last = end_of(&plan, line("dome.ngc", "G0 Z30") - 3);
     let mut cursor = Cursor::default();
-    let (mut least, mut sum, mut count) = (f64::INFINITY, 0.0, 0.0);
+    let (mut min, mut sum, mut count) = (f64::INFINITY, 0.0, 0.0);
     let mut time = first;
     while time < last {
         let (_, rates) = plan.intended(&mut cursor, time);
         let speed = (rates[0] * rates[0] + rates[1] * rates[1] + rates[2] * rates[2]).sqrt();
-        least = speed.min(least);
+        min = speed.min(min);
         sum += speed;
         count += 1.0;
         time += 0.01;
     }
     let mean = sum / count;
-    let (most, average) = setpoint_rate(&plan);
+    let (max, average) = setpoint_rate(&plan);
     println!(
-        "dome: {moves} blocks, {:.1} s, {} setpoints, {average:.1} per second, at most {most}, mean \
-         speed {mean:.2}, least {least:.2} mm/s",
+        "dome: {moves} blocks, {:.1} s, {} setpoints, {average:.1} per second, at most {max}, mean \
+         speed {mean:.2}, least {min:.2} mm/s",
         plan.figures.duration_s,
         plan.setpoints.len()
     );
-    assert!(least > 4.0, "decelerated to {least} mm/s");
+    assert!(min > 4.0, "decelerated to {min} mm/s");
     assert!(mean > 7.5, "{mean} mm/s on average");
     // 115,200 baud is 11,520 bytes/s. A setpoint in five axes may have 40 bytes, and a quarter of
     // the line is for other messages.
     assert!(
-        most as f64 * 40.0 < 0.75 * 11_520.0,
-        "{most} setpoints in a second"
+        max as f64 * 40.0 < 0.75 * 11_520.0,
+        "{max} setpoints in a second"
     );
 }

@@ -116,12 +116,12 @@ fn a_slow_line_or_arc_may_be_faster_and_a_fast_one_not() {
         ("G1 X1 F600", 100),
         ("G2 X40 I20 F300", 200),
     ];
-    for (block, most) in cases {
+    for (block, max) in cases {
         let text = format!("G0 X0 Y0 Z30\nG4 P0.1\n{block}\n");
         check(&text);
         let (_, plan) = plan(&text, &settings());
         let fastest = modes(&plan).iter().map(|mode| mode.max_percent()).max();
-        assert_eq!(fastest, Some(most), "{block}");
+        assert_eq!(fastest, Some(max), "{block}");
     }
 }
 

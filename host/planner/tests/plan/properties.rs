@@ -159,11 +159,11 @@ pub fn check_steps(plan: &Plan, settings: &Settings, text: &str) {
             let mean = |cubic: &Cubic| (cubic.v[1] - cubic.v[0]) / cubic.t;
             let rate = 256.0 * unit(k);
             let rounding = rate / before.t + rate / after.t;
-            let most = axis.jerk * 0.5 * (before.t + after.t) + rounding;
+            let max = axis.jerk * 0.5 * (before.t + after.t) + rounding;
             let step = (mean(after) - mean(before)).abs();
             assert!(
-                step <= most,
-                "acceleration of {k} steps by {step}, {most} allowed, at {}\n{text}",
+                step <= max,
+                "acceleration of {k} steps by {step}, {max} allowed, at {}\n{text}",
                 pair[1].start
             );
         }
@@ -403,7 +403,7 @@ fn setpoints_command_no_joint_more_than_its_maximum_rate() {
             continue;
         };
         planned += 1;
-        let mut most = 0.0_f64;
+        let mut max = 0.0_f64;
         for span in spans(&plan) {
             let at = |u: f64| {
                 let mut pose = [0.0; 6];
@@ -418,13 +418,13 @@ fn setpoints_command_no_joint_more_than_its_maximum_rate() {
                 let (back, ahead) = (at(u - h), at(u + h));
                 for (k, joint) in settings.joints.iter().enumerate() {
                     let rate = (ahead[k] - back[k]).abs() / (2.0 * h * span.axes[0].t);
-                    most = most.max(rate / joint.rate);
+                    max = max.max(rate / joint.rate);
                 }
             }
         }
-        binding += u32::from(most > 0.95);
-        worst = worst.max(most);
-        assert!(most <= 1.005, "{most} of the maximum rate\n{text}");
+        binding += u32::from(max > 0.95);
+        worst = worst.max(max);
+        assert!(max <= 1.005, "{max} of the maximum rate\n{text}");
     }
     println!("{planned} planned, {binding} near a maximum, at most {worst} of it");
     assert!(

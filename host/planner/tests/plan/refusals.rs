@@ -48,8 +48,8 @@ fn a_slow_joint_lowers_the_feed() {
             .expect("limited")
             .figures;
         let peak = figures.peak_joint_rates[2];
-        let most = if text.contains("F240") { 4.0 } else { 5.0 };
-        assert!(peak <= most + 1e-9 && peak > most - 0.1, "{peak} in {text}");
+        let max = if text.contains("F240") { 4.0 } else { 5.0 };
+        assert!(peak <= max + 1e-9 && peak > max - 0.1, "{peak} in {text}");
         assert_eq!(figures.slowed, slowed, "{text}");
     }
 }

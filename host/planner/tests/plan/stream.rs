@@ -36,11 +36,11 @@ fn program(text: &str) -> Program {
 /// Setpoints of a stream, and the most that waited at once.
 fn stream(program: &Program) -> (Vec<Planned>, usize) {
     let mut planner = Planner::new(program.start, settings(), H4);
-    let (mut made, mut most) = (Vec::new(), 0);
+    let (mut made, mut max) = (Vec::new(), 0);
     let mut take = |planner: &mut Planner<H4>| {
         let before = made.len();
         made.extend(planner.made());
-        most = most.max(made.len() - before);
+        max = max.max(made.len() - before);
     };
     planner.check_start().expect("the start is reachable");
     for step in &program.steps {
@@ -49,7 +49,7 @@ fn stream(program: &Program) -> (Vec<Planned>, usize) {
     }
     planner.finish(program.lines).expect("possible");
     take(&mut planner);
-    (made, most)
+    (made, max)
 }
 
 fn setpoints(made: &[Planned]) -> Vec<haptimill_protocol::setpoint::Setpoint> {
@@ -76,7 +76,7 @@ fn a_long_stream_keeps_the_limits() {
     let blocks = 40_000;
     let program = program(&spiral(blocks));
     let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
-    let (made, most) = stream(&program);
+    let (made, max) = stream(&program);
     let settings = settings();
     let made = setpoints(&made);
     for (number, span) in spans_of(&plan.start, &made, plan.period_s)
@@ -117,8 +117,8 @@ fn a_long_stream_keeps_the_limits() {
     };
     assert!((time(&made) / time(&plan.setpoints) - 1.0).abs() < 0.002);
     assert!(
-        most < made.len() / 3,
-        "{most} of {} setpoints waited",
+        max < made.len() / 3,
+        "{max} of {} setpoints waited",
         made.len()
     );
 }

@@ -7,10 +7,10 @@ use haptimill_client::session::JobLine;
 use haptimill_protocol::message::{Command, State};
 
 /// Refusals that the outcome lists at most.
-const MOST_REFUSED: usize = 1000;
+const MAX_REFUSED: usize = 1000;
 
 /// Commands of an input that are executed between two steps of the session at most.
-pub(super) const MOST_AT_ONCE: usize = 16;
+pub(super) const MAX_AT_ONCE: usize = 16;
 
 impl<L: JobLine> Teleop<'_, L> {
     pub(super) fn process_input(&mut self, input: CommandInput, report: &mut Report<'_>) {
@@ -85,8 +85,8 @@ impl<L: JobLine> Teleop<'_, L> {
     fn refuse(&mut self, why: String, report: &mut Report<'_>) {
         report(None, Some(&why));
         match self.outcome.refused.len() {
-            ..MOST_REFUSED => self.outcome.refused.push(why),
-            MOST_REFUSED => self.outcome.refused.push("more are left out".to_string()),
+            ..MAX_REFUSED => self.outcome.refused.push(why),
+            MAX_REFUSED => self.outcome.refused.push("more are left out".to_string()),
             _ => {}
         }
     }

@@ -164,7 +164,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             while let Some(command) = self.master.next_command() {
                 self.execute(command, report);
             }
-            for _ in 0..commands::MOST_AT_ONCE {
+            for _ in 0..commands::MAX_AT_ONCE {
                 let Some(input) = self.input.as_ref().and_then(|input| input.try_recv().ok())
                 else {
                     break;

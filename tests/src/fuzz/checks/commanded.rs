@@ -122,8 +122,8 @@ impl Checks {
         joint: usize,
         limits: &JointSettings,
     ) -> CheckResult {
-        let most = f64::from(limits.rate.0) * PERIOD;
-        let part = motion.joint_step(joint).abs() / most;
+        let max = f64::from(limits.rate.0) * PERIOD;
+        let part = motion.joint_step(joint).abs() / max;
         let state = motion.state;
         if state == State::Jog {
             self.record_largest("joint rate in a jog, part of its limit", part);
@@ -133,7 +133,7 @@ impl Checks {
         let in_job = matches!(state, State::Run | State::Hold);
         let bound = if in_job { 1.03125 } else { 1.0 };
         // A step is rounded to whole axis units.
-        if part > bound + 1.5 / most && !self.foreign_configuration {
+        if part > bound + 1.5 / max && !self.foreign_configuration {
             let text = format!("joint {joint} commanded at {part:.3} of its limit in {state:?}");
             if in_job {
                 violated!(motion.bench, "joint rate in a job", "{text}");
@@ -237,12 +237,12 @@ impl CommandedMotion<'_> {
         }
         let rate = f64::from(self.machine.motion.commanded().rates[axis].0);
         let change = (rate - self.before.rates[axis]).abs();
-        let most = f64::from(limits.acceleration.0) * 256.0 * PERIOD;
-        if change > most * 1.01 + 600.0 {
+        let max = f64::from(limits.acceleration.0) * 256.0 * PERIOD;
+        if change > max * 1.01 + 600.0 {
             violated!(
                 self.bench,
                 "jog acceleration",
-                "axis {axis}: rate changed by {change} of {most} in a period"
+                "axis {axis}: rate changed by {change} of {max} in a period"
             );
         }
         Ok(())

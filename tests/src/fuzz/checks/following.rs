@@ -189,13 +189,13 @@ impl Checks {
             let slow = self.following.slow_motion[joint] > bounds::LASTING;
             let crossed = self.following.travel[joint].abs() > bounds::CROSSING
                 && !self.following.coasted[joint];
-            let most = match class {
+            let max = match class {
                 _ if self.other_machine => bounds::OTHER_REST,
                 0 if slow => bounds::REST_SLOW,
                 0 if !crossed => bounds::REST_UNKNOWN_FLANK,
                 class => bounds::REST[class],
             };
-            if far > most {
+            if far > max {
                 violated!(
                     bench,
                     "rest",

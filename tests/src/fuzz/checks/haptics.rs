@@ -23,14 +23,14 @@ impl Checks {
         let mut saturated = false;
         for (leg, currents) in outputs.currents.iter().enumerate() {
             for (motor, code) in currents.iter().enumerate() {
-                let most = largest_code(config, leg, motor);
+                let max = largest_code(config, leg, motor);
                 let magnitude = f64::from(*code).abs();
-                saturated |= magnitude > most - 2.0;
-                if magnitude > most + 1.0 {
+                saturated |= magnitude > max - 2.0;
+                if magnitude > max + 1.0 {
                     violated!(
                         bench,
                         "haptic current",
-                        "leg {leg} motor {motor}: code {code} of at most {most}"
+                        "leg {leg} motor {motor}: code {code} of at most {max}"
                     );
                 }
                 if *code != 0 && !outputs.enabled {
@@ -66,20 +66,20 @@ impl Checks {
         saturated: bool,
     ) -> CheckResult {
         let before = &self.previous.haptic_force;
-        let (mut least, mut most) = (1.0_f64, if saturated { f64::INFINITY } else { 1.0 });
+        let (mut min, mut max) = (1.0_f64, if saturated { f64::INFINITY } else { 1.0 });
         for (now, was) in force.iter().zip(before) {
             // The firmware rounds the product and the factor to whole units.
             let rounding = if saturated { was.abs() / 32_768.0 } else { 0.0 };
             let slack = step + 2.0 + rounding;
             if now.abs() > 2.0 {
                 let ends = [(was - slack) / now, (was + slack) / now];
-                least = least.max(ends[0].min(ends[1]) - 1.0 / now.abs());
-                most = most.min(ends[0].max(ends[1]) + 1.0 / now.abs());
+                min = min.max(ends[0].min(ends[1]) - 1.0 / now.abs());
+                max = max.min(ends[0].max(ends[1]) + 1.0 / now.abs());
             } else if !saturated && was.abs() > slack + 2.0 {
-                most = 0.0;
+                max = 0.0;
             }
         }
-        if least > most {
+        if min > max {
             violated!(
                 bench,
                 "haptic step",

@@ -116,12 +116,12 @@ impl Checks {
                     }
                 }
                 (Drive::Torque { full_scale, limit }, DriveCommand::Torque(code)) => {
-                    let most = f64::from(limit.0) / f64::from(full_scale.0).abs() * 8192.0;
-                    if f64::from(code).abs() > most + 1.0 {
+                    let max = f64::from(limit.0) / f64::from(full_scale.0).abs() * 8192.0;
+                    if f64::from(code).abs() > max + 1.0 {
                         violated!(
                             bench,
                             "effort",
-                            "joint {joint}: code {code} of at most {most}"
+                            "joint {joint}: code {code} of at most {max}"
                         );
                     }
                 }

@@ -125,7 +125,7 @@ impl EncoderRecord {
 /// Bounds of the position error of a joint.
 struct ErrorBounds {
     /// Error above which a single period is a violation.
-    most: f64,
+    max: f64,
     /// Error that may last.
     lasting: f64,
     /// Periods for which the error may exceed `lasting`.
@@ -213,10 +213,10 @@ impl Checks {
         faults.any(|kind| matches!(kind, FaultKind::EncoderSwapped { .. }))
     }
 
-    /// Largest error until the reversals of the count show a dead channel, at least `least`.
-    fn until_found(&self, joint: usize, least: f64) -> f64 {
+    /// Largest error until the reversals of the count show a dead channel, at least `min`.
+    fn until_found(&self, joint: usize, min: f64) -> f64 {
         let (fastest, unseen) = (self.position.fastest[joint], self.position.unseen[joint]);
-        least.max(bounds::REVERSALS * fastest) + unseen
+        min.max(bounds::REVERSALS * fastest) + unseen
     }
 
     fn error_bounds(&self, bench: &FuzzBench, joint: usize) -> Option<ErrorBounds> {
@@ -235,7 +235,7 @@ impl Checks {
         });
         if limits.encoder.is_none() {
             return self.is_fault_free(bench).then_some(ErrorBounds {
-                most: f64::INFINITY,
+                max: f64::INFINITY,
                 lasting: bounds::OPEN_LOOP,
                 periods: 25,
                 name: "open loop",
@@ -267,7 +267,7 @@ impl Checks {
         };
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
-                most: f64::INFINITY,
+                max: f64::INFINITY,
                 // The bound is that of the H-4 machines, whose lost motion is known.
                 lasting: bounds::MOTOR[class]
                     + if self.other_machine {
@@ -280,7 +280,7 @@ impl Checks {
             },
             EncoderDefect::Single => ErrorBounds {
                 // The bound is that of the H-4 machines, which are slower and heavier.
-                most: if self.other_machine {
+                max: if self.other_machine {
                     self.until_found(joint, bounds::FOUND.max(runaway))
                 } else {
                     bounds::FOUND
@@ -290,7 +290,7 @@ impl Checks {
                 name: "off after one fault",
             },
             EncoderDefect::Uncounted => ErrorBounds {
-                most: self.until_found(joint, bounds::TWO_TURNS),
+                max: self.until_found(joint, bounds::TWO_TURNS),
                 lasting: if found_by_index {
                     bounds::INDEX_SLACK[class]
                 } else {
@@ -301,7 +301,7 @@ impl Checks {
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
-                most: self.until_found(joint, bounds::PUSHED) + reversed_off,
+                max: self.until_found(joint, bounds::PUSHED) + reversed_off,
                 // Each fault may stay below the bound of one; index pulses reveal the sum.
                 lasting: if found_by_index {
                     unseen
@@ -313,7 +313,7 @@ impl Checks {
                 name: "off after several",
             },
             EncoderDefect::Dead => ErrorBounds {
-                most: bounds::TWO_TURNS,
+                max: bounds::TWO_TURNS,
                 lasting: unseen,
                 periods: u32::MAX,
                 name: "off, dead",
@@ -356,7 +356,7 @@ impl Checks {
         self.record_largest(allowed.name, off);
         let wrong = &mut self.position.wrong[joint];
         *wrong = if off > allowed.lasting { *wrong + 1 } else { 0 };
-        if *wrong > allowed.periods || off > allowed.most {
+        if *wrong > allowed.periods || off > allowed.max {
             violated!(
                 bench,
                 "position wrong",

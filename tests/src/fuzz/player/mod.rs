@@ -320,8 +320,8 @@ impl Player {
     }
 
     /// Waits until the machine is idle and every request is answered.
-    fn wait_idle(&mut self, most: u32) -> PlayResult {
-        for _ in 0..most {
+    fn wait_idle(&mut self, max: u32) -> PlayResult {
+        for _ in 0..max {
             let idle = !matches!(
                 self.state(),
                 State::Run | State::Jog | State::Homing | State::Hold

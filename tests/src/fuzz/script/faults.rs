@@ -62,8 +62,8 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
                 let joint = joint_of(&axis).unwrap_or(0);
                 let over = rng.uniform(500.0, 8000.0) as u32;
                 // The load is near the limit of the drive, where a following error grows.
-                let most = if joint == 4 { 36.0 } else { 750.0 };
-                let effort = effort.signum() * most * rng.uniform(0.5, 1.3);
+                let max = if joint == 4 { 36.0 } else { 750.0 };
+                let effort = effort.signum() * max * rng.uniform(0.5, 1.3);
                 return (Stimulus::RampLoad(joint, effort), over);
             }
             FaultKind::Push {
@@ -120,8 +120,8 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
     let axis = joint_name(kind, rng);
     let joint = joint_of(&axis).unwrap_or(0);
     let part = if joint == 4 { 0.04 } else { 1.0 };
-    let slip = |rng: &mut Rng, most| {
-        let size = rng.log_uniform(1.0, most) as i32;
+    let slip = |rng: &mut Rng, max| {
+        let size = rng.log_uniform(1.0, max) as i32;
         FaultKind::EncoderSlip {
             joint: axis.clone(),
             counts: if rng.chance(0.5) { size } else { -size },

@@ -53,7 +53,7 @@ const POSES: u32 = 1000;
 #[derive(Default)]
 struct Taken {
     sum: u64,
-    most: u32,
+    max: u32,
 }
 
 impl Taken {
@@ -67,15 +67,15 @@ impl Taken {
             .wrapping_sub(between)
             .wrapping_sub(between.wrapping_sub(begun));
         self.sum += u64::from(took);
-        self.most = self.most.max(took);
+        self.max = self.max.max(took);
         done
     }
 
     /// Prints mean and largest number of instructions. A count is 40/1024 of an instruction.
     fn say(&self, name: &str) {
         let mean = self.sum * 40 / 1024 / u64::from(POSES);
-        let most = u64::from(self.most) * 40 / 1024;
-        ending::say(format_args!("{name} {mean} {most}\n"));
+        let max = u64::from(self.max) * 40 / 1024;
+        ending::say(format_args!("{name} {mean} {max}\n"));
     }
 }
 

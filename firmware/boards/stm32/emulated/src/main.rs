@@ -333,9 +333,9 @@ fn computation(bench: &Bench) -> String {
     let mut taken: Vec<u64> = taken.collect();
     taken.sort_unstable();
     let at = |part: usize| taken.get(taken.len() * part / 1000).copied().unwrap_or(0);
-    let most = taken.last().copied().unwrap_or(0);
+    let max = taken.last().copied().unwrap_or(0);
     format!(
-        "{} periods begun, {} completed; instructions of a period: median {}, 99.9 % {}, most {most}",
+        "{} periods begun, {} completed; instructions of a period: median {}, 99.9 % {}, most {max}",
         bench.periods.len(),
         ends.len(),
         at(500),
@@ -433,8 +433,8 @@ fn check(image: &str) -> Result<(), String> {
     let start = bench.port_b.edges(PUMP).first().map_or(0, |it| it.0);
     println!("first control period completed after {} us", start / 1000);
     let all = spacings(bench.periods.iter().skip(1).copied());
-    let (least, most) = (all.iter().min(), all.iter().max());
-    println!("{} periods begin {least:?} to {most:?} ns apart", all.len());
+    let (min, max) = (all.iter().min(), all.iter().max());
+    println!("{} periods begin {min:?} to {max:?} ns apart", all.len());
     require(after.resets == 0, "no reset in 40 ms")?;
     require(
         all.len() >= 190 && all.iter().all(|ns| ns.abs_diff(200_000) < 1_000),

@@ -252,11 +252,11 @@ impl Chain {
     /// [`OutOfReach::Arm`], [`OutOfReach::Range`].
     pub fn branches(&self, x: Coordinate, z: Coordinate) -> Result<[ChainJoints; 2], OutOfReach> {
         let away = i64::from(x.0) - self.l2;
-        let most = self.l3.unsigned_abs() + self.l4.unsigned_abs();
+        let max = self.l3.unsigned_abs() + self.l4.unsigned_abs();
         // Scaled up so that the root keeps 30 bits.
-        let shift = most.max(1).leading_zeros().saturating_sub(34);
+        let shift = max.max(1).leading_zeros().saturating_sub(34);
         let [l3, l4] = [self.l3 << shift, self.l4 << shift];
-        if away.unsigned_abs() > most {
+        if away.unsigned_abs() > max {
             return Err(OutOfReach::Arm);
         }
         let away = away << shift;
@@ -286,8 +286,8 @@ impl Chain {
     /// turn farther.
     #[must_use]
     pub fn singular_angles(&self) -> [Angle; 2] {
-        let most = self.l3.unsigned_abs().max(self.l4.unsigned_abs());
-        let shift = most.max(1).leading_zeros().saturating_sub(34);
+        let max = self.l3.unsigned_abs().max(self.l4.unsigned_abs());
+        let shift = max.max(1).leading_zeros().saturating_sub(34);
         let angle = atan2((self.l4 << shift) as i32, (self.l3 << shift) as i32);
         [angle, angle.wrapping_add(Angle::HALF)]
     }

@@ -30,8 +30,8 @@ fn radians(angle: u32) -> u32 {
 struct Turn {
     sine: u32,
     cosine: u32,
-    most_sine: u32,
-    most_cosine: u32,
+    max_sine: u32,
+    max_cosine: u32,
     /// Half the range, and half its square, Q30.
     by: u32,
     bend: u32,
@@ -44,8 +44,8 @@ impl Turn {
         Self {
             sine,
             cosine,
-            most_sine: sine.saturating_add(times(cosine, by, 30)),
-            most_cosine: cosine.saturating_add(times(sine, by, 30)),
+            max_sine: sine.saturating_add(times(cosine, by, 30)),
+            max_cosine: cosine.saturating_add(times(sine, by, 30)),
             by,
             bend: times(by, by, 31),
         }
@@ -100,14 +100,14 @@ impl H4 {
         let (y, height) = (terms.y as i32, terms.height as i32);
         let line_y = Turn::along(table.cosine, by_across, table.sine, by_up);
         let line_height = Turn::along(table.cosine, by_up, table.sine, by_across);
-        let most_y = y.unsigned_abs().saturating_add(line_y);
-        let most_height = height.unsigned_abs().saturating_add(line_height);
+        let max_y = y.unsigned_abs().saturating_add(line_y);
+        let max_height = height.unsigned_abs().saturating_add(line_height);
         let rounded = if moved { ROUNDED } else { 0 };
         let by_y = line_y
-            .saturating_add(table.bound_rotation(most_y, most_height))
+            .saturating_add(table.bound_rotation(max_y, max_height))
             .saturating_add(rounded);
         let by_height = line_height
-            .saturating_add(table.bound_rotation(most_height, most_y))
+            .saturating_add(table.bound_rotation(max_height, max_y))
             .saturating_add(rounded);
         let arms = [self.upper, self.lower].map(i32::unsigned_abs);
         let by_v = arms.map(|arm| {
@@ -128,7 +128,7 @@ impl H4 {
                 return Err(near);
             }
             let square = self.square((u as i32, v as i32));
-            if square < self.least_square() {
+            if square < self.min_square() {
                 return Err(near);
             }
             let far = Pair {
@@ -153,8 +153,8 @@ impl H4 {
         }
         ends[0].0[ALPHA] = low.0[ALPHA];
         ends[1].0[ALPHA] = high.0[ALPHA];
-        let most_y = most_y.saturating_add(by_y);
-        let most_height = most_height.saturating_add(by_height);
+        let max_y = max_y.saturating_add(by_y);
+        let max_height = max_height.saturating_add(by_height);
         let mut bounds = BoxBounds {
             joints: ends,
             ..BoxBounds::default()
@@ -164,17 +164,17 @@ impl H4 {
             // Radians per second, Q28.
             let [turn, spin] =
                 [turn, spin].map(|rate| times(rate, QUARTER_PI_Q31.unsigned_abs(), 32));
-            let y_rate = Turn::along(table.most_cosine, across, table.most_sine, up)
-                .saturating_add(times(most_height, turn, 28));
-            let z_rate = Turn::along(table.most_cosine, up, table.most_sine, across)
-                .saturating_add(times(most_y, turn, 28));
+            let y_rate = Turn::along(table.max_cosine, across, table.max_sine, up)
+                .saturating_add(times(max_height, turn, 28));
+            let z_rate = Turn::along(table.max_cosine, up, table.max_sine, across)
+                .saturating_add(times(max_y, turn, 28));
             bounds[ALPHA] = rates[ALPHA].0.unsigned_abs();
             for ((bound, slope), arm) in bounds.chunks_exact_mut(2).zip(&slopes).zip(arms) {
                 let arm = times(arm, spin, 28);
-                let v_rate = z_rate.saturating_add(times(arm, tilt.most_sine, 30));
+                let v_rate = z_rate.saturating_add(times(arm, tilt.max_sine, 30));
                 // Both slides of a pair have one bound.
                 bound.fill(
-                    x.saturating_add(times(arm, tilt.most_cosine, 30))
+                    x.saturating_add(times(arm, tilt.max_cosine, 30))
                         .saturating_add(times(slope.0, y_rate, 27))
                         .saturating_add(times(slope.1, v_rate, 27))
                         .saturating_add(ROUNDED_RATE),

@@ -63,9 +63,9 @@ impl H4 {
         }
         // The bound for measured slides is wider than the planned one: a machine with a following
         // error must keep its pose at the planned bound.
-        let least = self.least_measured as i64;
-        if upper < least || lower < least {
-            let pair = (upper >= least) as u8;
+        let min = self.min_measured as i64;
+        if upper < min || lower < min {
+            let pair = (upper >= min) as u8;
             return Err(near_reach_limit(pair));
         }
         // N and 2 S now fit 32 bits, below 2^31 and at most 2^31: the casts cut nothing, and the

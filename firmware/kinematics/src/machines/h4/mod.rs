@@ -63,7 +63,7 @@ pub(super) const ALPHA: usize = 4;
 const LONGEST: i32 = 1 << 30;
 /// Shortest lateral distance and platform spacing, 1 mm; smallest singularity margin, 1/16 mm.
 const SHORTEST: i32 = 1 << 20;
-const LEAST_MARGIN: i32 = 1 << 16;
+const MIN_MARGIN: i32 = 1 << 16;
 /// Shortest rod: 16 mm.
 const SHORTEST_ROD: i32 = 1 << 24;
 
@@ -89,9 +89,9 @@ pub struct H4 {
     /// h - g_e.
     level: i64,
     /// Smallest accepted S^2: (0.1 R)^2.
-    least_square: i64,
+    min_square: i64,
     /// Smallest 2 S at which the pose of measured slides is verified: 0.18 R.
-    pub(super) least_measured: i32,
+    pub(super) min_measured: i32,
     /// m of rods 1 and 2: T_L + 2 c.
     pub(super) upper: i32,
     /// m of rods 3 and 4: T_L.
@@ -186,9 +186,9 @@ impl H4 {
             rod_square,
             twice_lateral: 2 * geometry.lateral.magnitude() as i64,
             level: geometry.table_height.0 as i64 - geometry.rail_offset.0 as i64,
-            least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
+            min_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
             // Rounded up.
-            least_measured: ((18 * rod as i64 + 99) / 100) as i32,
+            min_measured: ((18 * rod as i64 + 99) / 100) as i32,
             // Fits if the geometry is sound.
             upper: saturate(geometry.tool.0 as i64 + 2 * spacing),
             lower: geometry.tool.0,
@@ -240,7 +240,7 @@ impl H4 {
             && geometry.half_height.magnitude() <= LONGEST as u32
             && geometry.tool.0 >= 0
             && geometry.tool.0 <= LONGEST
-            && geometry.singularity_margin.0 >= LEAST_MARGIN
+            && geometry.singularity_margin.0 >= MIN_MARGIN
             && geometry.singularity_margin.0 <= LONGEST
     }
 
@@ -328,11 +328,11 @@ impl H4 {
         let terms = self.frame(pose)?;
         let upper = self.square(terms.upper);
         let lower = self.square(terms.lower);
-        if upper < self.least_square || lower < self.least_square {
+        if upper < self.min_square || lower < self.min_square {
             return Err(if upper < 0 || lower < 0 {
                 PoseError::Unreachable
             } else {
-                let pair = (upper >= self.least_square) as u8;
+                let pair = (upper >= self.min_square) as u8;
                 near_reach_limit(pair)
             });
         }
@@ -381,8 +381,8 @@ impl H4 {
     }
 
     /// The smallest S^2 of a pose that may be taken.
-    pub(super) const fn least_square(&self) -> i64 {
-        self.least_square
+    pub(super) const fn min_square(&self) -> i64 {
+        self.min_square
     }
 
     /// Whether the machine stays away from the parallel singularity if U is up to `by_u` and V up
@@ -401,9 +401,9 @@ impl H4 {
         let less = i64::from(by_u.min(1 << 30)) * total(height, by_height)
             + i64::from(terms.upper.0).abs() * by_v3
             + i64::from(terms.lower.0).abs() * by_v1;
-        let least = cross.saturating_sub(less);
-        if least < i64::from(self.margin) * total(self.twice_lateral, total(height, by_height)) {
-            let distance = self.distance_of(least, total(height, by_height));
+        let min = cross.saturating_sub(less);
+        if min < i64::from(self.margin) * total(self.twice_lateral, total(height, by_height)) {
+            let distance = self.distance_of(min, total(height, by_height));
             if distance < self.margin {
                 return Err(PoseError::NearSingularity { distance });
             }

@@ -13,7 +13,7 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 /// Lines that are accepted before they are sent to the machine, at most.
-const MOST_AHEAD: u32 = 128;
+const MAX_AHEAD: u32 = 128;
 
 /// How long the machine may wait for setpoints before a part of the look-ahead is planned.
 const HUNGER: Duration = Duration::from_millis(50);
@@ -98,7 +98,7 @@ impl Feed {
     /// Whether another line may be accepted.
     pub(super) fn has_room(&self) -> bool {
         let made = lock(&self.made);
-        made.setpoints.is_empty() || self.accepted_line.saturating_sub(made.sent_line) < MOST_AHEAD
+        made.setpoints.is_empty() || self.accepted_line.saturating_sub(made.sent_line) < MAX_AHEAD
     }
 
     /// Whether all that was accepted is planned and sent.

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 const LONGEST_LINE: usize = 256;
 
 /// Lines that wait at most. A sender that counts characters has far fewer under way.
-const MOST_LINES: usize = 4096;
+const MAX_LINES: usize = 4096;
 
 /// A real-time command: it is executed at once, also in the middle of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,7 +95,7 @@ impl Input {
         let bytes = std::mem::take(&mut self.line);
         let is_too_long = std::mem::take(&mut self.is_too_long);
         // Beyond this the sender waits for no answer; its bytes are dropped as by a full buffer.
-        if self.lines.len() == MOST_LINES {
+        if self.lines.len() == MAX_LINES {
             return;
         }
         self.lines.push_back(match String::from_utf8(bytes) {
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn lines_are_bounded() {
-        let (_, lines) = read(&vec![b'\n'; 2 * MOST_LINES]);
-        assert_eq!(lines.len(), MOST_LINES);
+        let (_, lines) = read(&vec![b'\n'; 2 * MAX_LINES]);
+        assert_eq!(lines.len(), MAX_LINES);
     }
 }

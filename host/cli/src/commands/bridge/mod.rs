@@ -13,7 +13,7 @@ use crate::commands::interrupt;
 use crate::commands::requests::Requests;
 use clap::{Args, Subcommand};
 use haptimill_client::client::Options;
-use haptimill_client::port::{MOST_UNREAD, PortSpec, PtyServer, Transport};
+use haptimill_client::port::{MAX_UNREAD, PortSpec, PtyServer, Transport};
 use haptimill_client::session::{self, Line, PortLine, Session, check_has_tool, find_home_pose};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
@@ -105,7 +105,7 @@ pub fn run(command: BridgeCommand) -> Result<(), CliError> {
         }
         let sent = pty.write(&answers, Duration::ZERO)?;
         answers.drain(..sent);
-        if answers.len() > MOST_UNREAD {
+        if answers.len() > MAX_UNREAD {
             answers.clear();
         }
     }

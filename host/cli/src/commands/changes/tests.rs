@@ -244,7 +244,7 @@ fn an_approach_with_a_longer_tool_keeps_its_tip_above() {
         .apply(&mut program, &options, 5.0)
         .expect("an approach");
     let mut machine = options.start;
-    let mut least = f64::INFINITY;
+    let mut min = f64::INFINITY;
     for step in &program.steps {
         let Step::Move(step) = step else { continue };
         assert_eq!(step.tool.machine_pose(&step.path.from), machine);
@@ -253,11 +253,11 @@ fn an_approach_with_a_longer_tool_keeps_its_tip_above() {
             // Over the part. The tool in the spindle is that of the program.
             for part in 0..=20 {
                 let at = step.path.at(step.path.length * f64::from(part) / 20.0);
-                least = least.min(at[2] - 50.0 * at[3].to_radians().cos());
+                min = min.min(at[2] - 50.0 * at[3].to_radians().cos());
             }
         }
     }
-    assert!((25.0 - 1e-9..60.0).contains(&least), "{least}");
+    assert!((25.0 - 1e-9..60.0).contains(&min), "{min}");
 }
 
 #[test]

@@ -24,7 +24,7 @@ const PAUSE_ABOVE: usize = 4096;
 const RESUME_BELOW: usize = 1024;
 
 /// Most bytes that wait: a sender that does not pause fills the buffers of the system next.
-const MOST: usize = 1 << 16;
+const MAX: usize = 1 << 16;
 
 /// Longest wait for bytes.
 const POLL: Duration = Duration::from_millis(20);
@@ -124,11 +124,11 @@ impl Thread {
                 self.is_paused = self.line.write(&[XON], POLL)? == 0;
             }
         }
-        let most = match self.flow {
+        let max = match self.flow {
             Flow::RtsCts => PAUSE_ABOVE,
-            Flow::XonXoff | Flow::None => MOST,
+            Flow::XonXoff | Flow::None => MAX,
         };
-        if waiting >= most {
+        if waiting >= max {
             std::thread::sleep(POLL);
             return Ok(Vec::new());
         }

@@ -136,16 +136,16 @@ fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
 fn speeds(machine: &MachineFile, args: &EngraveArgs, rapid: f64) -> (Speeds, Vec<String>) {
     let rise = tool_axis(machine, Role::ToolZ).map_or(rapid, |z| z.rate);
     let mut notices = Vec::new();
-    let mut reached = |option: &str, asked: f64, most: f64, along: &str| {
-        if asked / 60.0 > most + 1e-9 {
+    let mut reached = |option: &str, asked: f64, max: f64, along: &str| {
+        if asked / 60.0 > max + 1e-9 {
             notices.push(format!(
                 "{option} {asked}: {} reaches {} mm/min along {along}; the times are those of that \
                  feed",
                 machine.config.name,
-                most * 60.0
+                max * 60.0
             ));
         }
-        (asked / 60.0).min(most)
+        (asked / 60.0).min(max)
     };
     let speeds = Speeds {
         feed: reached("--feed", args.feed, rapid, "x and y"),
@@ -369,7 +369,7 @@ fn print_surface(cut: &cut::Cut) {
     print_line!(
         "depth       {:.3} mm asked for; {:.3} least, {:.3} mean, {:.3} greatest",
         cut.surface.depth_mm,
-        cut.surface.least_depth_mm,
+        cut.surface.min_depth_mm,
         cut.surface.mean_depth_mm,
         cut.surface.greatest_depth_mm
     );

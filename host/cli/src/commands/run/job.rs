@@ -203,8 +203,8 @@ impl Job<'_> {
             .map_err(|error| CliError::new(Exit::Internal, error))?
             .with_program(&self.program.text);
         let spindle_rpm = match &work {
-            Work::Planned(planned) => planned.plan.figures.spindle_rpm.map(|[_, most]| most),
-            Work::Checked(checked) => checked.figures.spindle_rpm.map(|[_, most]| most),
+            Work::Planned(planned) => planned.plan.figures.spindle_rpm.map(|[_, max]| max),
+            Work::Checked(checked) => checked.figures.spindle_rpm.map(|[_, max]| max),
             Work::Stream(..) | Work::Parts(..) => None,
         };
         let supply = match work {

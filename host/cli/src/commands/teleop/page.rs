@@ -131,7 +131,7 @@ pub(super) fn page(
 }
 
 fn tiles(page: &mut String, outcome: &TeleopOutcome, spindle_rpm: u16, cut: Option<&Cut>) {
-    let size = |force: &[f64; 3]| force.iter().fold(0.0_f64, |most, part| most.max(*part));
+    let size = |force: &[f64; 3]| force.iter().fold(0.0_f64, |max, part| max.max(*part));
     let latency = outcome.latency.as_ref();
     let tiles = [
         (duration(outcome.duration_s), "duration"),

@@ -17,7 +17,7 @@ use haptimill_protocol::message::MAX_AXES;
 use std::io::{self, Read, Write};
 
 /// Largest length that is accepted, bytes.
-const MOST: usize = 1 << 20;
+const MAX: usize = 1 << 20;
 
 /// An answer of the emulator.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,7 +71,7 @@ pub fn read_bytes(input: &mut impl Read) -> io::Result<Option<Vec<u8>>> {
 
 fn read_exactly(input: &mut impl Read, length: u32) -> io::Result<Vec<u8>> {
     let length = length as usize;
-    if length > MOST {
+    if length > MAX {
         return Err(io::Error::other(format!("a frame of {length} bytes")));
     }
     let mut bytes = vec![0; length];

@@ -94,7 +94,7 @@ proptest! {
         let paths: Vec<Path> = points.chunks_exact(2).zip(&rounds).map(|(two, &round)| {
             if round { Path::circle(two[0], two[1][0] / 10.0 + 0.1, 0) } else { line(two[0], two[1]) }
         }).collect();
-        let tour = order_paths(&paths, [0.0; 2], Effort { kicks_per_path: 5, most_kicks: 200 });
+        let tour = order_paths(&paths, [0.0; 2], Effort { kicks_per_path: 5, max_kicks: 200 });
         let mut seen: Vec<usize> = tour.order.iter().map(|placed| placed.path).collect();
         seen.sort_unstable();
         prop_assert_eq!(seen, (0..paths.len()).collect::<Vec<_>>());
@@ -144,7 +144,7 @@ fn the_order_is_no_longer_than_a_walk_to_the_nearest_end() {
         walk += distance(at, [0.0; 2]);
         let effort = Effort {
             kicks_per_path: 0,
-            most_kicks: 0,
+            max_kicks: 0,
         };
         let air = order_paths(&paths, [0.0; 2], effort).air_mm;
         assert!(air <= walk + 1e-6, "{air} {walk}");
@@ -163,7 +163,7 @@ fn the_search_finds_the_optimum_of_few_paths() {
         let used: Vec<usize> = (0..paths.len()).collect();
         let effort = Effort {
             kicks_per_path: 300,
-            most_kicks: 9_000,
+            max_kicks: 9_000,
         };
         let pieces = Pieces {
             paths: &paths,

@@ -167,9 +167,9 @@ impl<'i> Section<'_, 'i> {
         }
     }
 
-    /// Reads an optional list of `few` to `most` numbers, each in the range of the key `number`;
+    /// Reads an optional list of `few` to `max` numbers, each in the range of the key `number`;
     /// empty where it is absent, or after a report.
-    pub fn number_list(&self, key: Key, few: usize, most: usize, number: Key) -> Vec<f64> {
+    pub fn number_list(&self, key: Key, few: usize, max: usize, number: Key) -> Vec<f64> {
         let (key, allowed) = (self.key(key).name, Allowed::of(self.key(number)));
         let Some(value) = self.get(key) else {
             return Vec::new();
@@ -178,9 +178,9 @@ impl<'i> Section<'_, 'i> {
             self.wrong_type(key, value.get_ref(), "a list of numbers");
             return Vec::new();
         };
-        if !(few..=most).contains(&items.len()) {
+        if !(few..=max).contains(&items.len()) {
             let what = format!("has {} numbers", items.len());
-            self.report(key, what, format!("write {few} to {most}"));
+            self.report(key, what, format!("write {few} to {max}"));
             return Vec::new();
         }
         let numbers: Vec<f64> = items
