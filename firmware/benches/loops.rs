@@ -10,7 +10,7 @@ use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 
 /// A 40 kg slide on a 10 mm screw with 8000 counts a turn.
-fn axis(drive: Drive) -> JointSettings {
+fn slide(drive: Drive) -> JointSettings {
     JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(0),
@@ -51,8 +51,8 @@ fn axis(drive: Drive) -> JointSettings {
 
 /// Moves five joints back and forth at 4 mm/s, with their encoders following a count behind.
 fn period(bencher: &mut Criterion, name: &str, servo: &Drive) {
-    let axis = axis(servo.clone());
-    let Ok(joint) = JointDrive::new(&axis, 200) else {
+    let settings = slide(servo.clone());
+    let Ok(joint) = JointDrive::new(&settings, 200) else {
         return;
     };
     let mut joints = [

@@ -63,9 +63,9 @@ impl Config {
     /// Pose coordinates that wrap around, one bit each.
     #[must_use]
     pub fn wrapping(&self) -> u8 {
-        let axes = self.pose.iter().enumerate();
-        axes.fold(0, |mask, (axis, pose)| {
-            mask | u8::from(pose.wraps()) << axis
+        let pose = self.pose.iter().enumerate();
+        pose.fold(0, |mask, (index, coordinate)| {
+            mask | u8::from(coordinate.wraps()) << index
         })
     }
 
@@ -73,8 +73,8 @@ impl Config {
     #[must_use]
     pub fn wrapping_joints(&self) -> u8 {
         let joints = self.joints.iter().enumerate();
-        joints.fold(0, |mask, (axis, joint)| {
-            mask | u8::from(joint.wraps()) << axis
+        joints.fold(0, |mask, (index, joint)| {
+            mask | u8::from(joint.wraps()) << index
         })
     }
 

@@ -221,22 +221,22 @@ pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Optio
     if !machine.has_only_plain_switches() {
         return machine.hardware_fault(&inputs.joints, homed);
     }
-    let axes = inputs.joints.get(..machine.joint_count())?;
-    let healthy = |axis: &JointInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
-    if axes.iter().fold(true, |all, axis| all & healthy(axis)) {
+    let joints = inputs.joints.get(..machine.joint_count())?;
+    let healthy = |joint: &JointInputs| joint.drive_ready & !(joint.limit_low | joint.limit_high);
+    if joints.iter().fold(true, |all, joint| all & healthy(joint)) {
         return None;
     }
-    name_hardware_fault(axes)
+    name_hardware_fault(joints)
 }
 
 #[cold]
 #[inline(never)]
-fn name_hardware_fault(axes: &[JointInputs]) -> Option<Fault> {
-    for (index, axis) in axes.iter().enumerate() {
-        if axis.limit_low || axis.limit_high {
+fn name_hardware_fault(joints: &[JointInputs]) -> Option<Fault> {
+    for (index, joint) in joints.iter().enumerate() {
+        if joint.limit_low || joint.limit_high {
             return Some(Fault::LimitSwitch { joint: index as u8 });
         }
-        if !axis.drive_ready {
+        if !joint.drive_ready {
             return Some(Fault::Drive { joint: index as u8 });
         }
     }

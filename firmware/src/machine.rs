@@ -196,11 +196,11 @@ impl Machine {
     #[inline(never)]
     pub fn supervise_unpowered(&mut self, suspect: Option<u8>) {
         let joints = self.joints.iter_mut().zip(&self.config.joints);
-        for (index, (joint, axis)) in joints.enumerate() {
+        for (index, (joint, settings)) in joints.enumerate() {
             if suspect == Some(index as u8) {
                 continue;
             }
-            let fault = joint.supervise_unpowered(index as u8, axis, self.config.period_us);
+            let fault = joint.supervise_unpowered(index as u8, settings, self.config.period_us);
             self.counter_fault = self.counter_fault.or(fault);
         }
     }
@@ -247,9 +247,9 @@ impl Machine {
     #[inline(never)]
     fn count_turns(&mut self, before: &Joints) {
         let measured = self.measured.0.iter().zip(&before.0);
-        for (axis, (turns, (now, before))) in self.turns.iter_mut().zip(measured).enumerate() {
+        for (joint, (turns, (now, before))) in self.turns.iter_mut().zip(measured).enumerate() {
             let by = i64::from(now.wrapping_sub(*before).0);
-            if self.wrapping >> axis & 1 != 0 {
+            if self.wrapping >> joint & 1 != 0 {
                 let over = i64::from(before.0) + by - i64::from(now.0);
                 *turns = turns.wrapping_add((over >> 32) as i32);
             }
@@ -300,9 +300,9 @@ impl Machine {
             ..
         } = &self.config;
         for (index, joint) in self.joints.iter_mut().enumerate() {
-            if let Some(axis) = joints.get(index)
+            if let Some(settings) = joints.get(index)
                 && let Some(fault) =
-                    joint.supervise(index as u8, axis, supervision, *period_us, missed)
+                    joint.supervise(index as u8, settings, supervision, *period_us, missed)
             {
                 return Some(fault);
             }
@@ -394,10 +394,10 @@ impl Machine {
             .pose
             .iter()
             .zip(&pose.0)
-            .position(|(axis, at)| {
-                let tolerance = axis.kind.soft_limit_tolerance();
-                at.0 < axis.low.0.saturating_sub(tolerance)
-                    || at.0 > axis.high.0.saturating_add(tolerance)
+            .position(|(limits, at)| {
+                let tolerance = limits.kind.soft_limit_tolerance();
+                at.0 < limits.low.0.saturating_sub(tolerance)
+                    || at.0 > limits.high.0.saturating_add(tolerance)
             })
             .map(|index| index as u8)
     }
@@ -458,8 +458,8 @@ impl Machine {
             emergency_stop: inputs.emergency_stop,
             ..ActiveLines::default()
         };
-        for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.joints).enumerate() {
-            let active = axis.active_switches(seen);
+        for (joint, (settings, seen)) in self.config.joints.iter().zip(&inputs.joints).enumerate() {
+            let active = settings.active_switches(seen);
             for (input, joints) in lines.switches.iter_mut().enumerate() {
                 *joints |= (active >> input & 1) << joint;
             }

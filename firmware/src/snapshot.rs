@@ -97,17 +97,17 @@ impl Controller {
         snapshot.program_time = program.program_time();
         let commanded = &machine.motion.commanded().pose.0;
         let mut joints = machine.joints();
-        for (axis, commanded) in commanded.iter().enumerate() {
-            // An axis that the machine lacks is 0.
+        for (index, commanded) in commanded.iter().enumerate() {
+            // A coordinate or joint that the machine lacks is 0.
             let joint_snapshot = joints.next();
             let joint = joint_snapshot.unwrap_or_default();
-            snapshot.commanded[axis] = joint_snapshot.map_or(0, |_| commanded.0);
-            snapshot.joints_commanded[axis] = joint.commanded.0;
-            snapshot.joints[axis] = joint.measured.0;
-            snapshot.following_error[axis] = joint.following_error.0;
-            snapshot.drive[axis] = match joint.command {
+            snapshot.commanded[index] = joint_snapshot.map_or(0, |_| commanded.0);
+            snapshot.joints_commanded[index] = joint.commanded.0;
+            snapshot.joints[index] = joint.measured.0;
+            snapshot.following_error[index] = joint.following_error.0;
+            snapshot.drive[index] = match joint.command {
                 DriveCommand::Torque(code) => i32::from(code),
-                DriveCommand::Steps(_) => inputs.joints[axis].steps,
+                DriveCommand::Steps(_) => inputs.joints[index].steps,
                 DriveCommand::Off => 0,
             };
         }

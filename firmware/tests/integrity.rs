@@ -145,26 +145,26 @@ fn changed_joint_constant_is_detected_motion_is_not() {
         joint.digest(&mut digest);
         digest
     };
-    let made = |axis: &JointSettings| digest(&JointDrive::new(axis, 200).expect("sound"));
-    let axis = h4().joints[0].clone();
+    let made = |settings: &JointSettings| digest(&JointDrive::new(settings, 200).expect("sound"));
+    let settings = h4().joints[0].clone();
     let changes: [fn(&mut JointSettings); 10] = [
-        |axis| axis.encoder.as_mut().expect("an encoder").per_count += 1,
-        |axis| axis.backlash.0 += 2,
-        |axis| axis.law.kp.0 += 1,
-        |axis| axis.law.kd.0 += 1,
-        |axis| axis.law.ki.0 += 1 << 8,
-        |axis| axis.law.inertia += 1,
-        |axis| axis.law.viscous += 1,
-        |axis| axis.law.coulomb.0 += 1,
-        |axis| axis.law.coulomb_rate.0 += 1 << 4,
-        |axis| axis.law.rate_filter_us += 1,
+        |settings| settings.encoder.as_mut().expect("an encoder").per_count += 1,
+        |settings| settings.backlash.0 += 2,
+        |settings| settings.law.kp.0 += 1,
+        |settings| settings.law.kd.0 += 1,
+        |settings| settings.law.ki.0 += 1 << 8,
+        |settings| settings.law.inertia += 1,
+        |settings| settings.law.viscous += 1,
+        |settings| settings.law.coulomb.0 += 1,
+        |settings| settings.law.coulomb_rate.0 += 1 << 4,
+        |settings| settings.law.rate_filter_us += 1,
     ];
     for (index, change) in changes.iter().enumerate() {
-        let mut other = axis.clone();
+        let mut other = settings.clone();
         change(&mut other);
-        assert_ne!(made(&axis), made(&other), "change {index}");
+        assert_ne!(made(&settings), made(&other), "change {index}");
     }
-    let mut joint = JointDrive::new(&axis, 200).expect("sound");
+    let mut joint = JointDrive::new(&settings, 200).expect("sound");
     let before = digest(&joint);
     let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);

@@ -51,7 +51,7 @@ fn steps() -> Drive {
     }
 }
 
-fn axis(drive: Drive, backlash_mm: f64) -> JointSettings {
+fn slide(drive: Drive, backlash_mm: f64) -> JointSettings {
     JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(0),
@@ -156,7 +156,7 @@ impl Plant {
 /// a lost motion in mm; gives the largest error of the true slide and of its estimate after the
 /// start, mm.
 fn follow(lost_motion: f64) -> (f64, f64) {
-    let mut joint = JointDrive::new(&axis(torque(), lost_motion), 200).unwrap();
+    let mut joint = JointDrive::new(&slide(torque(), lost_motion), 200).unwrap();
     let mut plant = Plant::new(0.010);
     joint.measure(&plant.inputs, 0);
     let start = joint.enable();
@@ -217,7 +217,7 @@ fn lost_motion_is_compensated() {
 #[test]
 fn lost_motion_depends_on_the_place() {
     let nodes_mm = [0.010, 0.030, 0.0, 0.025];
-    let mut config = axis(torque(), 0.030);
+    let mut config = slide(torque(), 0.030);
     let nodes = nodes_mm.iter().map(|mm| Coordinate((mm * MM) as i32));
     config.backlash_table = nodes.collect();
     let half_mm = |at: f64| {
@@ -256,7 +256,7 @@ fn lost_motion_depends_on_the_place() {
 #[test]
 fn enable_does_not_move_the_joint() {
     for servo in [torque(), steps()] {
-        let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
+        let mut joint = JointDrive::new(&slide(servo, 0.01), 200).unwrap();
         let mut inputs = JointInputs {
             counts: 12_345,
             steps: 777,
@@ -293,7 +293,7 @@ fn enable_does_not_move_the_joint() {
 /// motion over one period would be 16,000 N/(m/s) * 0.42 m/s = 6,700 N, far above the limit.
 #[test]
 fn missed_periods_do_not_kick() {
-    let mut joint = JointDrive::new(&axis(torque(), 0.0), 200).expect("valid");
+    let mut joint = JointDrive::new(&slide(torque(), 0.0), 200).expect("valid");
     let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);
     let still = JointCommand {
@@ -324,7 +324,7 @@ fn missed_periods_do_not_kick() {
 #[test]
 fn reference_set_in_motion_does_not_jump() {
     for servo in [torque(), steps()] {
-        let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
+        let mut joint = JointDrive::new(&slide(servo, 0.01), 200).unwrap();
         let inputs = JointInputs {
             counts: -500,
             ..JointInputs::default()
@@ -354,7 +354,7 @@ fn reference_set_in_motion_does_not_jump() {
 /// A step motor that follows exactly, then loses 10 steps: reported at once, and only then.
 #[test]
 fn lost_steps_are_detected() {
-    let mut joint = JointDrive::new(&axis(steps(), 0.0), 200).unwrap();
+    let mut joint = JointDrive::new(&slide(steps(), 0.0), 200).unwrap();
     let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);
     let start = joint.enable();
@@ -402,19 +402,19 @@ fn lost_steps_are_detected() {
 
 #[test]
 fn invalid_joint_configurations_are_refused() {
-    let refused = |axis: &JointSettings, period| JointDrive::new(axis, period).err();
-    assert_eq!(refused(&axis(torque(), 0.0), 200), None);
-    assert_eq!(refused(&axis(steps(), 0.0), 200), None);
-    assert_eq!(refused(&axis(torque(), 0.0), 49), Some(DriveError::Period));
+    let refused = |joint: &JointSettings, period| JointDrive::new(joint, period).err();
+    assert_eq!(refused(&slide(torque(), 0.0), 200), None);
+    assert_eq!(refused(&slide(steps(), 0.0), 200), None);
+    assert_eq!(refused(&slide(torque(), 0.0), 49), Some(DriveError::Period));
     assert_eq!(
-        refused(&axis(torque(), 0.0), 1001),
+        refused(&slide(torque(), 0.0), 1001),
         Some(DriveError::Period)
     );
     assert_eq!(
-        refused(&axis(torque(), -0.1), 200),
+        refused(&slide(torque(), -0.1), 200),
         Some(DriveError::Backlash)
     );
-    let mut senseless = axis(torque(), 0.0);
+    let mut senseless = slide(torque(), 0.0);
     senseless.encoder.as_mut().expect("an encoder").per_count = 0;
     assert_eq!(refused(&senseless, 200), Some(DriveError::Encoder));
     // Without an encoder only steps can be counted.
@@ -427,7 +427,7 @@ fn invalid_joint_configurations_are_refused() {
             full_scale: Effort(full_scale),
             limit: Effort(limit),
         };
-        assert_eq!(refused(&axis(servo, 0.0), 200), Some(DriveError::Torque));
+        assert_eq!(refused(&slide(servo, 0.0), 200), Some(DriveError::Torque));
     }
     let step = |per_step, ticks_per_us, pulse, setup| Drive::Steps {
         per_step,
@@ -439,23 +439,23 @@ fn invalid_joint_configurations_are_refused() {
         tmc2209: None,
     };
     assert_eq!(
-        refused(&axis(step(1 << 23, 72, 100, 100), 0.0), 200),
+        refused(&slide(step(1 << 23, 72, 100, 100), 0.0), 200),
         Some(DriveError::Step)
     );
     assert_eq!(
-        refused(&axis(step(1 << 30, 0, 100, 100), 0.0), 200),
+        refused(&slide(step(1 << 30, 0, 100, 100), 0.0), 200),
         Some(DriveError::Step)
     );
     assert_eq!(
-        refused(&axis(step(1 << 30, 1, 0, 10), 0.0), 200),
+        refused(&slide(step(1 << 30, 1, 0, 10), 0.0), 200),
         Some(DriveError::Timing)
     );
     assert_eq!(
-        refused(&axis(step(1 << 30, 1, 101, 10), 0.0), 200),
+        refused(&slide(step(1 << 30, 1, 101, 10), 0.0), 200),
         Some(DriveError::Timing)
     );
     assert_eq!(
-        refused(&axis(step(1 << 30, 1, 50, 151), 0.0), 200),
+        refused(&slide(step(1 << 30, 1, 50, 151), 0.0), 200),
         Some(DriveError::Timing)
     );
 }
@@ -497,7 +497,7 @@ proptest! {
         full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], limit in 1i32.., place: i32, commanded: (i32, i32, i32),
     ) {
         let limit = Effort(limit);
-        let mut joint = JointDrive::new(&axis(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
+        let mut joint = JointDrive::new(&slide(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
         joint.measure(&JointInputs::default(), 0);
         joint.enable();
         joint.measure(&JointInputs { counts: place >> 12, ..JointInputs::default() }, 200_000);
@@ -517,7 +517,7 @@ proptest! {
         frames in prop::collection::vec((any::<(i32, u32, u16, i32, u8, i32, u32)>(), any::<(i32, i32, i32)>(), 0u8..8), 1..60),
     ) {
         for servo in [torque(), steps()] {
-            let mut config = axis(servo, 0.0);
+            let mut config = slide(servo, 0.0);
             config.kind = kind;
             config.backlash = Coordinate(backlash);
             config.encoder.as_mut().expect("an encoder").per_count = per_count;
@@ -541,8 +541,8 @@ proptest! {
 /// steps move on is one.
 #[test]
 fn a_resonating_rotor_is_no_stuck_channel() {
-    let axis = axis(steps(), 0.0);
-    let encoder = axis.encoder.clone().expect("an encoder");
+    let settings = slide(steps(), 0.0);
+    let encoder = settings.encoder.clone().expect("an encoder");
     let count = (encoder.per_count >> 24) as i32;
     let fault = |steps_per_period: f64| {
         let mut monitor = JointMonitor::default();
@@ -560,7 +560,7 @@ fn a_resonating_rotor_is_no_stuck_channel() {
                 placed: true,
                 ..JointSample::default()
             };
-            monitor.check_stuck_channel(1, &axis, &encoder, &sample)
+            monitor.check_stuck_channel(1, &settings, &encoder, &sample)
         })
     };
     assert_eq!(fault(0.0), None);
@@ -573,8 +573,8 @@ fn a_resonating_rotor_is_no_stuck_channel() {
 /// efforts give no count at all, the encoder is dead.
 #[test]
 fn a_slide_that_moves_on_after_a_reversal_has_a_live_encoder() {
-    let axis = axis(torque(), 0.0);
-    let encoder = axis.encoder.clone().expect("an encoder");
+    let settings = slide(torque(), 0.0);
+    let encoder = settings.encoder.clone().expect("an encoder");
     let count = (encoder.per_count >> 24) as i32;
     let fault = |against: &[usize]| {
         let mut monitor = JointMonitor::default();
@@ -593,7 +593,7 @@ fn a_slide_that_moves_on_after_a_reversal_has_a_live_encoder() {
                 placed: true,
                 ..JointSample::default()
             };
-            monitor.check(1, &axis, &encoder, 0, &sample)
+            monitor.check(1, &settings, &encoder, 0, &sample)
         })
     };
     assert_eq!(fault(&[2, 6]), None);

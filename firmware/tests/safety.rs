@@ -22,14 +22,14 @@ fn newtons(force: f64) -> Effort {
 }
 
 /// The encoder of a joint.
-fn encoder(axis: &mut JointSettings) -> &mut EncoderSettings {
-    axis.encoder.as_mut().expect("an encoder")
+fn encoder(joint: &mut JointSettings) -> &mut EncoderSettings {
+    joint.encoder.as_mut().expect("an encoder")
 }
 
 /// A slide and a sample of it without a fault: standstill at 100 mm.
 fn slide() -> (JointSettings, JointSample) {
-    let mut axis = h4().joints[0].clone();
-    (axis.low, axis.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
+    let mut joint = h4().joints[0].clone();
+    (joint.low, joint.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
     let seen = JointSample {
         commanded: Coordinate(mm(100.0)),
         measured: Coordinate(mm(100.0)),
@@ -37,18 +37,18 @@ fn slide() -> (JointSettings, JointSample) {
         placed: true,
         ..JointSample::default()
     };
-    (axis, seen)
+    (joint, seen)
 }
 
 /// First fault of a monitor that gets the same sample for some periods.
 fn look(
     monitor: &mut JointMonitor,
-    axis: &JointSettings,
+    joint: &JointSettings,
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {
-    let encoder = axis.encoder.as_ref().expect("an encoder");
-    (0..periods).find_map(|_| monitor.check(2, axis, encoder, LIMIT, seen))
+    let encoder = joint.encoder.as_ref().expect("an encoder");
+    (0..periods).find_map(|_| monitor.check(2, joint, encoder, LIMIT, seen))
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn runaway_is_detected_a_driven_joint_is_not() {
 /// 1.6 N a micrometre.
 fn dead_encoder_found_at(
     monitor: &mut JointMonitor,
-    axis: &JointSettings,
+    joint: &JointSettings,
     last: &JointSample,
     speed: f64,
 ) -> f64 {
@@ -207,7 +207,7 @@ fn dead_encoder_found_at(
             effort: Effort(last.effort.0 + newtons(off * 1600.0).0),
             ..*last
         };
-        look(monitor, axis, &seen, 1).map(|fault| (fault, off))
+        look(monitor, joint, &seen, 1).map(|fault| (fault, off))
     });
     let Some((Fault::EncoderStuck { joint: 2 }, off)) = found else {
         panic!("{found:?}")

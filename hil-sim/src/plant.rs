@@ -200,8 +200,8 @@ impl Plant {
     }
 
     /// Report on the pulses of a step/direction drive; `None` for a torque drive.
-    pub fn pulse_report(&self, axis: usize) -> Option<PulseReport> {
-        match &self.joints.get(axis)?.drive {
+    pub fn pulse_report(&self, joint: usize) -> Option<PulseReport> {
+        match &self.joints.get(joint)?.drive {
             Drive::Torque { .. } => None,
             Drive::Steps(stepper) => Some(stepper.report()),
         }
@@ -213,31 +213,31 @@ impl Plant {
     }
 
     /// Sets an external effort on a slide or on the table; it acts until it is changed.
-    pub fn set_load(&mut self, axis: usize, effort: f64) {
-        self.load[axis] = effort;
+    pub fn set_load(&mut self, joint: usize, effort: f64) {
+        self.load[joint] = effort;
     }
 
     /// Injected faults of a joint.
-    pub fn condition(&self, axis: usize) -> JointCondition {
-        self.joints[axis].condition
+    pub fn condition(&self, joint: usize) -> JointCondition {
+        self.joints[joint].condition
     }
 
     /// Sets the injected faults of a joint.
-    pub fn set_condition(&mut self, axis: usize, condition: JointCondition) {
-        self.mechanics.jam(axis, condition.jam);
-        self.joints[axis].condition = condition;
+    pub fn set_condition(&mut self, joint: usize, condition: JointCondition) {
+        self.mechanics.jam(joint, condition.jam);
+        self.joints[joint].condition = condition;
     }
 
     /// Sets the injected faults of an encoder; a joint without one has none.
-    pub fn set_encoder_condition(&mut self, axis: usize, condition: EncoderCondition) {
-        if let Some(encoder) = &mut self.joints[axis].encoder {
+    pub fn set_encoder_condition(&mut self, joint: usize, condition: EncoderCondition) {
+        if let Some(encoder) = &mut self.joints[joint].encoder {
             encoder.set_condition(condition);
         }
     }
 
     /// Adds a slip of `counts` to the counter of an encoder.
-    pub fn slip_encoder(&mut self, axis: usize, counts: i32) {
-        if let Some(encoder) = &mut self.joints[axis].encoder {
+    pub fn slip_encoder(&mut self, joint: usize, counts: i32) {
+        if let Some(encoder) = &mut self.joints[joint].encoder {
             encoder.slip(counts);
         }
     }
@@ -265,13 +265,13 @@ impl Plant {
         if let Some(arm) = &self.haptic {
             inputs.haptic = arm.inputs();
         }
-        for (axis, joint) in self.joints.iter().enumerate() {
+        for (index, joint) in self.joints.iter().enumerate() {
             let reading = joint
                 .encoder
                 .as_ref()
                 .map(Encoder::reading)
                 .unwrap_or_default();
-            let seen = &mut inputs.joints[axis];
+            let seen = &mut inputs.joints[index];
             seen.counts = reading.counts;
             seen.edge_time_ns = reading.edge_time_ns;
             seen.illegal = reading.illegal;
@@ -292,8 +292,8 @@ impl Plant {
     /// in the order of the times; the end of the period is a part of it. The outputs of the period
     /// enable the drive with a segment without steps. A joint without a step drive has no such
     /// line.
-    pub fn add_pulse(&mut self, axis: usize, time_ns: u64, up: bool) {
-        let Some(joint) = self.joints.get_mut(axis) else {
+    pub fn add_pulse(&mut self, joint: usize, time_ns: u64, up: bool) {
+        let Some(joint) = self.joints.get_mut(joint) else {
             return;
         };
         if let (Drive::Steps(stepper), DriveConfig::Steps(drive)) =
@@ -309,10 +309,10 @@ impl Plant {
         let powered = !self.emergency_stop;
         let mut drive = [0.0; MAX_AXES];
         let mut stepping = false;
-        for (axis, joint) in self.joints.iter_mut().enumerate() {
-            let command = &outputs.joints[axis];
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let command = &outputs.joints[index];
             let powered = powered && !joint.condition.drive_tripped;
-            drive[axis] = joint.torque(command, powered);
+            drive[index] = joint.torque(command, powered);
             match (&mut joint.drive, command) {
                 (_, DriveCommand::Off) | (Drive::Torque { .. }, DriveCommand::Torque(_)) => {}
                 (Drive::Steps(stepper), DriveCommand::Steps(segment)) => {
@@ -370,8 +370,8 @@ impl Plant {
         }
         self.bodies = bodies;
         let start_ns = self.time_ns();
-        for (axis, joint) in self.joints.iter_mut().enumerate() {
-            let track = Track::new(&self.history, axis, low[axis], high[axis]);
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let track = Track::new(&self.history, index, low[index], high[index]);
             if let Some(encoder) = &mut joint.encoder {
                 encoder.follow(&track, start_ns, self.step_ns);
             }
@@ -384,10 +384,10 @@ impl Plant {
         }
         self.period += 1;
         let now_ns = self.time_ns();
-        for (axis, joint) in self.joints.iter_mut().enumerate() {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
             let conditions = joint.condition.switches;
             for (switch, condition) in joint.switches.iter_mut().zip(&conditions) {
-                switch.follow(self.bodies.slide[axis], now_ns, condition);
+                switch.follow(self.bodies.slide[index], now_ns, condition);
             }
         }
         self.update_ground_truth();

@@ -20,7 +20,7 @@ use haptimill_protocol::message::MAX_AXES;
 struct Entry {
     kind: FaultKind,
     /// Index of the fault's joint or input.
-    axis: usize,
+    place: usize,
     begins_ns: u64,
     ends_ns: u64,
     active: bool,
@@ -44,14 +44,14 @@ impl Schedule {
     pub fn new(faults: &[Fault], joints: &[&str], inputs: &[&str]) -> Result<Self, FaultError> {
         let mut entries = Vec::new();
         for fault in faults {
-            let axis = fault.place(joints, inputs)?;
+            let place = fault.place(joints, inputs)?;
             let begins_ns = (fault.at_s * 1e9) as u64;
             let ends_ns = fault
                 .for_s
                 .map_or(u64::MAX, |time| begins_ns + (time * 1e9) as u64);
             entries.push(Entry {
                 kind: fault.what.clone(),
-                axis,
+                place,
                 begins_ns,
                 ends_ns,
                 active: false,
@@ -109,7 +109,7 @@ impl Schedule {
             }
             match entry.kind {
                 FaultKind::EncoderSlip { counts, .. } if begins && entry.begins_ns != u64::MAX => {
-                    plant.slip_encoder(entry.axis, counts);
+                    plant.slip_encoder(entry.place, counts);
                     entry.begins_ns = u64::MAX;
                 }
                 FaultKind::HapticArm(HapticFault::EncoderSlip { place, counts })
@@ -131,9 +131,9 @@ impl Schedule {
                 inject_process(&entry.kind, &mut sensors, &mut stalled);
                 match entry.kind {
                     FaultKind::InputLevel { level, .. } => {
-                        inputs[entry.axis].level = Some(level == Level::High);
+                        inputs[entry.place].level = Some(level == Level::High);
                     }
-                    FaultKind::InputBounce { hz, .. } => inputs[entry.axis].bounce_hz = hz,
+                    FaultKind::InputBounce { hz, .. } => inputs[entry.place].bounce_hz = hz,
                     _ => {}
                 }
                 if let FaultKind::HapticArm(fault) = &entry.kind {
@@ -141,7 +141,7 @@ impl Schedule {
                 }
                 inject(
                     &entry.kind,
-                    entry.axis,
+                    entry.place,
                     &mut joints,
                     &mut encoders,
                     &mut loads,
@@ -150,10 +150,10 @@ impl Schedule {
                 );
             }
         }
-        for axis in 0..plant.axes() {
-            plant.set_condition(axis, joints[axis]);
-            plant.set_encoder_condition(axis, encoders[axis]);
-            plant.set_load(axis, loads[axis]);
+        for joint in 0..plant.axes() {
+            plant.set_condition(joint, joints[joint]);
+            plant.set_encoder_condition(joint, encoders[joint]);
+            plant.set_load(joint, loads[joint]);
         }
         plant.set_emergency_stop(emergency_stop);
         for (input, condition) in inputs.into_iter().enumerate() {
@@ -162,8 +162,8 @@ impl Schedule {
         if let Some(process) = plant.process_mut() {
             process.spindle_mut().set_stalled(stalled);
             if let Some(sensor) = process.sensor_mut() {
-                for (axis, condition) in sensors.into_iter().enumerate() {
-                    sensor.set_condition(axis, condition);
+                for (component, condition) in sensors.into_iter().enumerate() {
+                    sensor.set_condition(component, condition);
                 }
             }
         }
@@ -183,7 +183,7 @@ impl Schedule {
 /// Adds an active fault to the conditions.
 fn inject(
     kind: &FaultKind,
-    axis: usize,
+    joint: usize,
     joints: &mut [JointCondition; MAX_AXES],
     encoders: &mut [EncoderCondition; MAX_AXES],
     loads: &mut [f64; MAX_AXES],
@@ -203,37 +203,37 @@ fn inject(
             level,
             ..
         } => {
-            encoders[axis].stuck_a = Some(level == Level::High);
+            encoders[joint].stuck_a = Some(level == Level::High);
         }
         FaultKind::EncoderStuck {
             channel: Channel::B,
             level,
             ..
         } => {
-            encoders[axis].stuck_b = Some(level == Level::High);
+            encoders[joint].stuck_b = Some(level == Level::High);
         }
-        FaultKind::EncoderSwapped { .. } => encoders[axis].swapped = true,
-        FaultKind::EncoderNoise { per_second, .. } => encoders[axis].noise_hz += per_second,
-        FaultKind::IndexMissing { .. } => encoders[axis].index_missing = true,
-        FaultKind::DriveDead { .. } => joints[axis].drive_gain = 0.0,
-        FaultKind::DriveTripped { .. } => joints[axis].drive_tripped = true,
-        FaultKind::DriveWeak { gain, .. } => joints[axis].drive_gain *= gain,
-        FaultKind::DriveReversed { .. } => joints[axis].drive_gain *= -1.0,
+        FaultKind::EncoderSwapped { .. } => encoders[joint].swapped = true,
+        FaultKind::EncoderNoise { per_second, .. } => encoders[joint].noise_hz += per_second,
+        FaultKind::IndexMissing { .. } => encoders[joint].index_missing = true,
+        FaultKind::DriveDead { .. } => joints[joint].drive_gain = 0.0,
+        FaultKind::DriveTripped { .. } => joints[joint].drive_tripped = true,
+        FaultKind::DriveWeak { gain, .. } => joints[joint].drive_gain *= gain,
+        FaultKind::DriveReversed { .. } => joints[joint].drive_gain *= -1.0,
         FaultKind::JointJammed { effort, .. } => {
-            joints[axis].jam += effort.unwrap_or(f64::INFINITY)
+            joints[joint].jam += effort.unwrap_or(f64::INFINITY)
         }
-        FaultKind::Push { effort, .. } => loads[axis] += effort,
+        FaultKind::Push { effort, .. } => loads[joint] += effort,
         FaultKind::SwitchStuck { switch, active, .. } => {
-            joints[axis].switches[switch as usize].stuck = Some(active);
+            joints[joint].switches[switch as usize].stuck = Some(active);
         }
         FaultKind::SwitchInverted { switch, .. } => {
-            joints[axis].switches[switch as usize].inverted = true;
+            joints[joint].switches[switch as usize].inverted = true;
         }
         FaultKind::SwitchMissing { switch, .. } => {
-            joints[axis].switches[switch as usize].missing = true;
+            joints[joint].switches[switch as usize].missing = true;
         }
         FaultKind::SwitchBounces { switch, ms, .. } => {
-            joints[axis].switches[switch as usize].bounce_ms += ms;
+            joints[joint].switches[switch as usize].bounce_ms += ms;
         }
         FaultKind::EmergencyStop => *emergency_stop = true,
         FaultKind::LinkErrors { rate, direction } => {

@@ -241,7 +241,7 @@ proptest! {
 fn codes_give_efforts_up_to_the_amplifier_limit() {
     // Slide: 40 kg at 400 N for 10 ms. Table: 0.5 kg m^2 at 20 N m, then at the amplifier's limit
     // of 10 N m.
-    for (axis, limit, expected) in [
+    for (index, limit, expected) in [
         (0, 800.0, 400.0 / 40.0 * 1000.0 * 0.01),
         (0, 100.0, 100.0 / 40.0 * 1000.0 * 0.01),
         (4, 40.0, (20.0_f64 / 0.5 * 0.01).to_degrees()),
@@ -249,7 +249,7 @@ fn codes_give_efforts_up_to_the_amplifier_limit() {
     ] {
         let mut config = machine::reference();
         config.geometry = Some(GeometryConfig::Joints(Default::default()));
-        let mut joint = config.joint[axis].clone();
+        let mut joint = config.joint[index].clone();
         joint.coulomb = 0.0;
         joint.viscous = 0.0;
         if let DriveConfig::Torque(drive) = &mut joint.drive {

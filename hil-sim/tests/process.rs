@@ -58,7 +58,7 @@ impl Held {
     fn new(config: &PlantConfig, process: &ProcessConfig) -> Self {
         let mut plant = Plant::new(config, 200).expect("a machine");
         plant.fit(process).expect("a process");
-        let goal = core::array::from_fn(|axis| plant.bodies().motor[axis]);
+        let goal = core::array::from_fn(|joint| plant.bodies().motor[joint]);
         Self {
             config: config.clone(),
             plant,
@@ -69,23 +69,23 @@ impl Held {
 
     /// Runs one period; the four slides move at `rate` mm/s along x together.
     fn step(&mut self, rate: f64, rpm: i16) {
-        for axis in 0..5 {
-            if axis < 4 {
-                self.goal[axis] += rate * PERIOD;
+        for index in 0..5 {
+            if index < 4 {
+                self.goal[index] += rate * PERIOD;
             }
             let bodies = self.plant.bodies();
-            let rate = if axis < 4 { rate } else { 0.0 };
+            let rate = if index < 4 { rate } else { 0.0 };
             // 160 rad/s with damping 1.
-            let joint = &self.config.joint[axis];
+            let joint = &self.config.joint[index];
             let DriveConfig::Torque(drive) = &joint.drive else {
                 unreachable!("torque drives");
             };
-            let effort = (25_600.0 * (self.goal[axis] - bodies.motor[axis])
-                + 320.0 * (rate - bodies.motor_rate[axis]))
+            let effort = (25_600.0 * (self.goal[index] - bodies.motor[index])
+                + 320.0 * (rate - bodies.motor_rate[index]))
                 * joint.inertia
                 / joint.kind.acceleration_unit();
             let code = (effort / drive.full_scale * 8192.0).clamp(-8192.0, 8191.0);
-            self.outputs.joints[axis] = DriveCommand::Torque(code as i16);
+            self.outputs.joints[index] = DriveCommand::Torque(code as i16);
         }
         self.outputs.spindle_rpm = rpm;
         let outputs = self.outputs.clone();

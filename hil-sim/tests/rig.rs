@@ -474,7 +474,7 @@ proptest! {
     /// A fault and its line of text are equivalent.
     #[test]
     fn faults_and_their_text_are_equivalent(
-        axis in "[a-z][a-z0-9]{0,5}",
+        joint in "[a-z][a-z0-9]{0,5}",
         number in 0.0..1.0_f64,
         counts: i32,
         direction in any_direction(),
@@ -483,14 +483,14 @@ proptest! {
         which in 0..9,
     ) {
         let what = match which {
-            0 => FaultKind::EncoderSlip { joint: axis, counts },
+            0 => FaultKind::EncoderSlip { joint, counts },
             1 => FaultKind::LinkErrors { rate: number, direction },
             2 => FaultKind::LinkDelay { ms: number, direction },
-            3 => FaultKind::JointJammed { joint: axis, effort: (counts > 0).then_some(number) },
-            4 => FaultKind::DriveWeak { joint: axis, gain: -number },
+            3 => FaultKind::JointJammed { joint, effort: (counts > 0).then_some(number) },
+            4 => FaultKind::DriveWeak { joint, gain: -number },
             5 => FaultKind::EmergencyStop,
             6 => FaultKind::LinkCut { direction },
-            7 => FaultKind::EncoderNoise { joint: axis, per_second: number },
+            7 => FaultKind::EncoderNoise { joint, per_second: number },
             _ => FaultKind::MissedPeriods { count: counts.unsigned_abs() },
         };
         let fault = Fault { at_s, for_s, what };

@@ -105,9 +105,9 @@ fn the_switches_are_found_in_their_order() {
     while state(&bench) == State::Homing {
         bench.step();
         period += 1;
-        for axis in 0..3 {
-            if (bench.rig.truth().joints[axis] - before[axis]).abs() > 0.1 {
-                moved[axis].get_or_insert(period);
+        for joint in 0..3 {
+            if (bench.rig.truth().joints[joint] - before[joint]).abs() > 0.1 {
+                moved[joint].get_or_insert(period);
             }
         }
     }
@@ -179,9 +179,9 @@ fn homing_again_finds_the_same_place() {
         bench.ask(Command::Disable).expect("off");
         assert!(!bench.status().homed);
         assert_homed(&mut bench);
-        for (axis, first) in first.iter().enumerate().take(3) {
-            let off = bench.rig.truth().joints[axis] - first;
-            assert!(off.abs() < 0.01, "{axis}: {off}");
+        for (joint, first) in first.iter().enumerate().take(3) {
+            let off = bench.rig.truth().joints[joint] - first;
+            assert!(off.abs() < 0.01, "{joint}: {off}");
         }
     }
 }

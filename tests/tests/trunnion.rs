@@ -60,13 +60,13 @@ proptest! {
         let mut plant = Trunnion::new(&geometry(), &joints).expect("a mill");
         prop_assert!(plant.follow(&joints, &mut pose));
         let mut units = Joints::default();
-        for (axis, unit) in units.0.iter_mut().enumerate() {
-            *unit = raw(axis, joints[axis]);
+        for (joint, unit) in units.0.iter_mut().enumerate() {
+            *unit = raw(joint, joints[joint]);
         }
         let measured = MACHINE.config.kinematics().forward(&units).expect("a pose");
-        for (axis, (measured, truth)) in measured.0.iter().zip(pose).take(3).enumerate() {
+        for (joint, (measured, truth)) in measured.0.iter().zip(pose).take(3).enumerate() {
             let off = f64::from(measured.0) / f64::from(1 << 20) - truth;
-            prop_assert!(off.abs() < 5e-6, "axis {axis} is off by {off}");
+            prop_assert!(off.abs() < 5e-6, "joint {joint} is off by {off}");
         }
         prop_assert_eq!(&pose[3..5], &joints[3..5]);
     }
@@ -92,8 +92,8 @@ proptest! {
             ..geometry()
         };
         let at = |time: f64| -> [f64; 6] {
-            std::array::from_fn(|axis| {
-                if axis < 5 { joints[axis] + time * rates[axis] } else { 0.0 }
+            std::array::from_fn(|joint| {
+                if joint < 5 { joints[joint] + time * rates[joint] } else { 0.0 }
             })
         };
         let mut mill = Trunnion::new(&config, &at(0.0)).expect("a mill");
@@ -112,8 +112,8 @@ proptest! {
         mill.follow(&at(0.0), &mut pose);
         let loads = mill.joint_loads(&at(0.0), &pose, force, above).expect("regular");
         // N m and degrees per second to N mm per second.
-        let unit = |axis: usize| if axis < 3 { 1.0 } else { 1e3_f64.to_radians() };
-        let inside: f64 = (0..5).map(|axis| loads[axis] * rates[axis] * unit(axis)).sum();
+        let unit = |joint: usize| if joint < 3 { 1.0 } else { 1e3_f64.to_radians() };
+        let inside: f64 = (0..5).map(|joint| loads[joint] * rates[joint] * unit(joint)).sum();
         prop_assert!((outside - inside).abs() < 1e-4, "{outside} {inside}");
     }
 }

@@ -72,8 +72,8 @@ impl Bed {
         let mut link = HostLink::new(Timing::default());
         link.open(7, 0);
         let mut inputs = Inputs::default();
-        for axis in &mut inputs.joints {
-            axis.drive_ready = true;
+        for joint in &mut inputs.joints {
+            joint.drive_ready = true;
         }
         Self {
             controller: Controller::new(200),
@@ -93,18 +93,18 @@ impl Bed {
         let inputs = &mut self.inputs;
         inputs.period += 1 + u64::from(inputs.missed);
         inputs.time_ns = inputs.time_ns.wrapping_add(200_000);
-        for (joint, axis) in inputs.joints.iter_mut().enumerate().take(JOINTS) {
-            let DriveCommand::Steps(segment) = self.outputs.joints[joint] else {
+        for (index, joint) in inputs.joints.iter_mut().enumerate().take(JOINTS) {
+            let DriveCommand::Steps(segment) = self.outputs.joints[index] else {
                 continue;
             };
             let way = i32::from(segment.count.signum());
             for _ in 0..segment.count.unsigned_abs() {
-                axis.steps += way;
-                axis.counts += way;
-                axis.edge_time_ns = inputs.time_ns;
-                if self.config.has_index(joint, axis.counts) {
-                    axis.index_counts = axis.counts;
-                    axis.index_pulses = axis.index_pulses.wrapping_add(1);
+                joint.steps += way;
+                joint.counts += way;
+                joint.edge_time_ns = inputs.time_ns;
+                if self.config.has_index(index, joint.counts) {
+                    joint.index_counts = joint.counts;
+                    joint.index_pulses = joint.index_pulses.wrapping_add(1);
                 }
             }
         }
@@ -260,9 +260,9 @@ impl Bed {
         assert_eq!(self.state(), State::Disabled);
         assert_eq!(self.ask(Command::Enable), Ok(()));
         assert_eq!(self.state(), State::Idle);
-        let before = self.inputs.joints.map(|axis| axis.counts);
+        let before = self.inputs.joints.map(|joint| joint.counts);
         self.steps(500);
-        let after = self.inputs.joints.map(|axis| axis.counts);
+        let after = self.inputs.joints.map(|joint| joint.counts);
         for (before, after) in before.into_iter().zip(after) {
             assert!((after - before).abs() <= 1, "it jumped");
         }
@@ -311,7 +311,7 @@ fn job() {
     assert_eq!(bed.state(), State::Disabled);
     bed.make_ready();
     let start = bed.commanded();
-    let counts = bed.inputs.joints.map(|axis| axis.counts);
+    let counts = bed.inputs.joints.map(|joint| joint.counts);
     let setpoints = bed.start_job(2);
     assert_eq!(bed.state(), State::Run);
     let mut farthest = 0;
@@ -334,9 +334,9 @@ fn job() {
     );
     // There and back again: the command to the last bit, and the motion to a step.
     assert_eq!(bed.commanded(), start);
-    for (before, axis) in counts.into_iter().zip(&bed.inputs.joints) {
-        assert!((axis.counts - before).abs() <= 1);
-        assert_eq!(axis.counts, axis.steps);
+    for (before, joint) in counts.into_iter().zip(&bed.inputs.joints) {
+        assert!((joint.counts - before).abs() <= 1);
+        assert_eq!(joint.counts, joint.steps);
     }
     let telemetry = bed.telemetry();
     assert_eq!((telemetry.setpoint, telemetry.fault), (setpoints, None));

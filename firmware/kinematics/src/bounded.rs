@@ -155,7 +155,7 @@ impl BoundedKinematics {
     fn out_of_stroke(&self, joints: &Joints) -> PoseError {
         let ends = joints.0.iter().zip(&self.strokes).take(self.axes());
         let mut found = PoseError::Unreachable;
-        for (axis, (joint, (low, high))) in ends.enumerate().rev() {
+        for (index, (joint, (low, high))) in ends.enumerate().rev() {
             let by = if joint > high {
                 joint.saturating_sub(*high)
             } else if joint < low {
@@ -164,7 +164,7 @@ impl BoundedKinematics {
                 continue;
             };
             found = PoseError::OutOfStroke {
-                joint: axis as u8,
+                joint: index as u8,
                 by: by.0,
             };
         }

@@ -55,9 +55,9 @@ impl Config {
         for (index, axis) in self.pose.iter().enumerate() {
             self.check_pose(index, axis)?;
         }
-        for (index, axis) in self.joints.iter().enumerate() {
-            self.check_joint(index, axis)?;
-            self.check_gantry(index, axis)?;
+        for (index, joint) in self.joints.iter().enumerate() {
+            self.check_joint(index, joint)?;
+            self.check_gantry(index, joint)?;
         }
         require(
             (5..=2000).contains(&self.stopping.time_ms),
@@ -164,11 +164,11 @@ impl Config {
     fn check_geometry(&self) -> Check {
         require(self.model.is_sound(), ConfigField::Geometry, None)?;
         let machine = self.model.descriptor();
-        let pose = self.pose.iter().map(|axis| axis.kind);
-        let joints = self.joints.iter().map(|axis| axis.kind);
+        let pose = self.pose.iter().map(|coordinate| coordinate.kind);
+        let joints = self.joints.iter().map(|joint| joint.kind);
         let joints = joints.take(machine.axes());
-        let kinds = pose.eq(machine.pose.iter().map(|axis| axis.kind))
-            && joints.eq(machine.joints.iter().map(|axis| axis.kind));
+        let kinds = pose.eq(machine.pose.iter().map(|coordinate| coordinate.kind))
+            && joints.eq(machine.joints.iter().map(|joint| joint.kind));
         require(kinds, ConfigField::CoordinateCount, None)
     }
 
@@ -176,94 +176,101 @@ impl Config {
     /// so too. Roles of tool and workpiece have bounds, which force control and masters need.
     fn is_turntable(&self, wraps: bool, coordinate: usize) -> bool {
         let machine = self.model.descriptor();
-        let Some(axis) = machine.pose.get(coordinate) else {
+        let Some(described) = machine.pose.get(coordinate) else {
             return false;
         };
         let mut joints = machine.joints.iter().zip(&self.joints);
-        let joint = joints.find(|(joint, _)| joint.name == axis.name);
+        let joint = joints.find(|(joint, _)| joint.name == described.name);
         wraps
-            && axis.role.may_wrap()
+            && described.role.may_wrap()
             && self.pose.get(coordinate).is_some_and(PoseAxis::wraps)
             && joint.is_some_and(|(_, joint)| joint.wraps())
     }
 
-    fn check_pose(&self, index: usize, axis: &PoseAxis) -> Check {
+    fn check_pose(&self, index: usize, settings: &PoseAxis) -> Check {
         let here = Some(index);
-        let limited = axis.low < axis.high && within(axis.low.0) && within(axis.high.0);
+        let limited =
+            settings.low < settings.high && within(settings.low.0) && within(settings.high.0);
         require(
-            limited || self.is_turntable(axis.wraps(), index),
+            limited || self.is_turntable(settings.wraps(), index),
             ConfigField::SoftLimit,
             here,
         )?;
-        require(axis.rate.0 > 0, ConfigField::Rate, here)?;
-        require(axis.acceleration.0 > 0, ConfigField::Acceleration, here)?;
+        require(settings.rate.0 > 0, ConfigField::Rate, here)?;
+        require(settings.acceleration.0 > 0, ConfigField::Acceleration, here)?;
         require(
-            jog::rate_limits(axis.acceleration, axis.jerk, self.period_us).is_some(),
+            jog::rate_limits(settings.acceleration, settings.jerk, self.period_us).is_some(),
             ConfigField::Jerk,
             here,
         )
     }
 
-    fn check_joint(&self, index: usize, axis: &JointSettings) -> Check {
+    fn check_joint(&self, index: usize, settings: &JointSettings) -> Check {
         let here = Some(index);
-        let limited = axis.low < axis.high && within(axis.low.0) && within(axis.high.0);
+        let limited =
+            settings.low < settings.high && within(settings.low.0) && within(settings.high.0);
         let turns = || {
             let machine = self.model.descriptor();
             let joint = machine.joints.get(index)?;
             if joint.may_wrap {
-                return Some(axis.wraps());
+                return Some(settings.wraps());
             }
-            let named = |axis: &CoordinateDescriptor| axis.name == joint.name;
+            let named = |described: &CoordinateDescriptor| described.name == joint.name;
             let coordinate = machine.pose.iter().position(named)?;
-            Some(self.is_turntable(axis.wraps(), coordinate))
+            Some(self.is_turntable(settings.wraps(), coordinate))
         };
         require(
             limited || turns().unwrap_or(false),
             ConfigField::Stroke,
             here,
         )?;
-        require(axis.rate.0 > 0, ConfigField::Rate, here)?;
+        require(settings.rate.0 > 0, ConfigField::Rate, here)?;
         require(
-            axis.backlash.0 >= 0 && axis.backlash.0 <= axis.high.0.saturating_sub(axis.low.0),
+            settings.backlash.0 >= 0
+                && settings.backlash.0 <= settings.high.0.saturating_sub(settings.low.0),
             ConfigField::Backlash,
             here,
         )?;
-        require(has_sound_table(axis), ConfigField::Backlash, here)?;
-        let preset = (axis.low..=axis.high).contains(&axis.preset);
+        require(has_sound_table(settings), ConfigField::Backlash, here)?;
+        let preset = (settings.low..=settings.high).contains(&settings.preset);
         require(preset, ConfigField::Homing, here)?;
-        match &axis.encoder {
+        match &settings.encoder {
             Some(encoder) => {
-                require(!axis.keeps_position, ConfigField::Encoder, here)?;
-                Self::check_encoder(here, axis, encoder)?;
+                require(!settings.keeps_position, ConfigField::Encoder, here)?;
+                Self::check_encoder(here, settings, encoder)?;
             }
             None => {
-                let steps = matches!(axis.drive, Drive::Steps { .. });
+                let steps = matches!(settings.drive, Drive::Steps { .. });
                 require(steps, ConfigField::Encoder, here)?;
-                let without = matches!(axis.home, Home::Preset | Home::Switch(_));
+                let without = matches!(settings.home, Home::Preset | Home::Switch(_));
                 require(without, ConfigField::Homing, here)?;
             }
         }
-        require(axis.active_low < 8, ConfigField::Homing, here)?;
-        if let Some(switch) = axis.home.switch() {
+        require(settings.active_low < 8, ConfigField::Homing, here)?;
+        if let Some(switch) = settings.home.switch() {
             // The search moves one joint at a time.
             let alone = self.model.joints_move_alone();
-            require(alone && is_sound(axis, switch), ConfigField::Homing, here)?;
+            require(
+                alone && is_sound(settings, switch),
+                ConfigField::Homing,
+                here,
+            )?;
         }
-        self.check_drive(here, axis)
+        self.check_drive(here, settings)
     }
 
     /// Checks that the joints of the model come first, and that the two motors of a gantry home
     /// together and reach the same places.
-    fn check_gantry(&self, index: usize, axis: &JointSettings) -> Check {
+    fn check_gantry(&self, index: usize, settings: &JointSettings) -> Check {
         let axes = self.model.descriptor().axes();
-        let Some(gantry) = &axis.gantry else {
+        let Some(gantry) = &settings.gantry else {
             return require(index < axes, ConfigField::CoordinateCount, Some(index));
         };
         let first = usize::from(gantry.of);
-        let seconds = self.joints.iter().filter_map(|axis| axis.gantry.as_ref());
+        let seconds = self.joints.iter().filter_map(|joint| joint.gantry.as_ref());
         let alone = seconds.filter(|other| other.of == gantry.of).count() == 1;
         let fits = self.joints.get(first).is_some_and(|main| {
-            let searches = match (main.home.switch(), axis.home.switch()) {
+            let searches = match (main.home.switch(), settings.home.switch()) {
                 (Some(main), Some(second)) => {
                     let main = SwitchHome {
                         input: second.input,
@@ -277,20 +284,20 @@ impl Config {
                 _ => false,
             };
             searches
-                && main.kind == axis.kind
-                && main.preset == axis.preset
-                && axis.low <= main.low
-                && axis.high >= main.high
-                && axis.rate >= main.rate
+                && main.kind == settings.kind
+                && main.preset == settings.preset
+                && settings.low <= main.low
+                && settings.high >= main.high
+                && settings.rate >= main.rate
         });
-        let sound = index >= axes && first < axes && alone && fits && !axis.wraps();
+        let sound = index >= axes && first < axes && alone && fits && !settings.wraps();
         let racking = gantry.racking.0 > 0 && within(gantry.racking.0);
         require(sound && racking, ConfigField::Gantry, Some(index))
     }
 
     fn check_encoder(
         here: Option<usize>,
-        axis: &JointSettings,
+        joint: &JointSettings,
         encoder: &EncoderSettings,
     ) -> Check {
         let per_count = encoder.per_count.unsigned_abs();
@@ -300,7 +307,7 @@ impl Config {
             here,
         )?;
         require(
-            i64::from(axis.backlash.0) < i64::from(encoder.index_pitch.0),
+            i64::from(joint.backlash.0) < i64::from(encoder.index_pitch.0),
             ConfigField::Backlash,
             here,
         )?;
@@ -313,7 +320,7 @@ impl Config {
             here,
         )?;
         let pitch = i64::from(encoder.index_pitch.0);
-        let found = (axis.low..=axis.high).contains(&encoder.index)
+        let found = (joint.low..=joint.high).contains(&encoder.index)
             && encoder.search.0 > 0
             && i64::from(encoder.search.0) * 2 < pitch;
         require(found, ConfigField::Homing, here)?;
@@ -322,13 +329,13 @@ impl Config {
         require(slack, ConfigField::Homing, here)
     }
 
-    fn check_drive(&self, here: Option<usize>, axis: &JointSettings) -> Check {
-        match &axis.drive {
+    fn check_drive(&self, here: Option<usize>, joint: &JointSettings) -> Check {
+        match &joint.drive {
             Drive::Torque { full_scale, limit } => {
                 let sound =
                     full_scale.0 != i32::MIN && limit.0 > 0 && limit.0 <= full_scale.0.abs();
                 require(sound, ConfigField::Drive, here)?;
-                let law = &axis.law;
+                let law = &joint.law;
                 require(
                     law.kp.0 > 0 && law.kp.0 < 1 << 28 && law.kd.0 > 0 && law.kd.0 < 1 << 22,
                     ConfigField::Gain,
@@ -360,10 +367,10 @@ impl Config {
                 let is_consistent = *pulse > 0
                     && u32::from(*pulse) * 2 + u32::from(*setup) + u32::from(*hold) < ticks;
                 // Lost steps show as a difference from the encoder.
-                let lost = (lost.0 > 0) == axis.encoder.is_some() && lost.0 >= 0;
+                let lost = (lost.0 > 0) == joint.encoder.is_some() && lost.0 >= 0;
                 // Without its supply the chip loses its electrical angle.
                 let chip =
-                    tmc2209.is_none_or(|chip| !axis.keeps_position && self.is_sound_chip(&chip));
+                    tmc2209.is_none_or(|chip| !joint.keeps_position && self.is_sound_chip(&chip));
                 require(
                     steps && clock && is_consistent && lost && chip,
                     ConfigField::Drive,
@@ -387,15 +394,15 @@ impl Config {
 
 /// Whether the search for a switch stays within the numbers of the joint, and stops within the
 /// distance in which the switch is released.
-fn is_sound(axis: &JointSettings, switch: &SwitchHome) -> bool {
-    let stroke = i64::from(axis.low.0)..=i64::from(axis.high.0);
+fn is_sound(joint: &JointSettings, switch: &SwitchHome) -> bool {
+    let stroke = i64::from(joint.low.0)..=i64::from(joint.high.0);
     let at = i64::from(switch.coordinate.0);
     let off = i64::from(switch.back_off.0);
     let end = if switch.downwards { at + off } else { at - off };
     let places = stroke.contains(&at) && stroke.contains(&end);
     let rates = 0 < switch.touch_rate.0
         && switch.touch_rate <= switch.rate
-        && switch.rate <= axis.rate
+        && switch.rate <= joint.rate
         && switch.acceleration.0 > 0;
     let distances =
         off > 0 && switch.release.0 > 0 && switch.travel.0 > 0 && within(switch.travel.0);
@@ -428,18 +435,18 @@ fn within(value: i32) -> bool {
 }
 
 /// Whether the backlash table of a joint is within its bounds: values, slopes, distance of nodes.
-fn has_sound_table(axis: &JointSettings) -> bool {
-    let table = &axis.backlash_table;
+fn has_sound_table(joint: &JointSettings) -> bool {
+    let table = &joint.backlash_table;
     let Some(spans) = table.len().checked_sub(1) else {
         return true;
     };
-    if spans == 0 || axis.wraps() {
+    if spans == 0 || joint.wraps() {
         return false;
     }
-    let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans as i64;
+    let pitch = (i64::from(joint.high.0) - i64::from(joint.low.0)) / spans as i64;
     let bounded = table
         .iter()
-        .all(|node| (0..=axis.backlash.0).contains(&node.0));
+        .all(|node| (0..=joint.backlash.0).contains(&node.0));
     let flat = table.windows(2).all(|pair| {
         let change = (i64::from(pair[1].0) - i64::from(pair[0].0)).abs();
         change << BACKLASH_SLOPE_SHIFT <= pitch

@@ -106,16 +106,16 @@ struct Table {
 }
 
 impl Table {
-    fn new(axis: &JointSettings) -> Self {
-        let spans = axis.backlash_table.len().saturating_sub(1).max(1) as i64;
-        let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans;
-        let halves = axis
+    fn new(joint: &JointSettings) -> Self {
+        let spans = joint.backlash_table.len().saturating_sub(1).max(1) as i64;
+        let pitch = (i64::from(joint.high.0) - i64::from(joint.low.0)) / spans;
+        let halves = joint
             .backlash_table
             .iter()
             .map(|lost_motion| half_of(*lost_motion));
         Self {
             halves: halves.collect(),
-            low: axis.low.0,
+            low: joint.low.0,
             reciprocal: (1 << 47) / pitch.max(1 << 16),
         }
     }
@@ -148,20 +148,20 @@ const fn half_of(lost_motion: Coordinate) -> i32 {
 impl Backlash {
     /// Compensation of the lost motion of a joint (its magnitude counts; 0 switches the
     /// compensation off).
-    pub fn new(axis: &JointSettings, period_us: u16) -> Self {
-        let half = half_of(axis.backlash);
+    pub fn new(joint: &JointSettings, period_us: u16) -> Self {
+        let half = half_of(joint.backlash);
         let room = half.leading_zeros() - 2;
         let fraction = if room > FRACTION { FRACTION } else { room };
         let period = if period_us < 50 { 50 } else { period_us as u64 };
-        let shift_us = match axis.drive {
+        let shift_us = match joint.drive {
             Drive::Torque { .. } => TORQUE_SHIFT_US,
             Drive::Steps { .. } => STEP_SHIFT_US,
         };
         let per_second = Factor::of(1_000_000).over(Factor::of(period));
         Self {
-            kind: axis.kind,
+            kind: joint.kind,
             half,
-            table: Table::new(axis),
+            table: Table::new(joint),
             hysteresis: saturate(2 * half as i64),
             approach: (approach(period_us, shift_us) >> 1) as i32,
             rate: per_second.shifted(-(fraction as i32)).scale(),

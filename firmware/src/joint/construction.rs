@@ -39,11 +39,11 @@ const REACH_FACTOR: u64 = 10;
 /// counts.
 ///
 /// A count of emitted steps cannot jump.
-fn reach(axis: &JointSettings, period_us: u16) -> u32 {
-    let Some(encoder) = &axis.encoder else {
+fn reach(joint: &JointSettings, period_us: u16) -> u32 {
+    let Some(encoder) = &joint.encoder else {
         return u32::MAX;
     };
-    let rate = u64::from(axis.rate.0.unsigned_abs());
+    let rate = u64::from(joint.rate.0.unsigned_abs());
     let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
     let reach = travel + u64::from(encoder.following.magnitude());
     let counts = (reach << 24) / encoder.per_count.unsigned_abs().max(1);
@@ -63,12 +63,12 @@ impl JointDrive {
     /// # Errors
     ///
     /// A [`DriveError`] if the configuration of the joint is invalid.
-    pub fn new(axis: &JointSettings, period_us: u16) -> Result<Self, DriveError> {
+    pub fn new(joint: &JointSettings, period_us: u16) -> Result<Self, DriveError> {
         if !(50..=1000).contains(&period_us) {
             return Err(DriveError::Period);
         }
-        let encoder = axis.encoder.as_ref();
-        let per_count = match (encoder, &axis.drive) {
+        let encoder = joint.encoder.as_ref();
+        let per_count = match (encoder, &joint.drive) {
             (Some(encoder), _) => encoder.per_count,
             (None, Drive::Steps { per_step, .. }) => *per_step,
             (None, Drive::Torque { .. }) => 0,
@@ -79,16 +79,16 @@ impl JointDrive {
         let indexes = encoder.map_or(IndexMonitor::new(0, 1, 0), |encoder| {
             IndexMonitor::new(encoder.index_pitch.0, per_count, encoder.index_slack)
         });
-        if axis.backlash.0 < 0 {
+        if joint.backlash.0 < 0 {
             return Err(DriveError::Backlash);
         }
-        let output = match axis.drive {
+        let output = match joint.drive {
             Drive::Torque { full_scale, limit } => {
                 if full_scale.0 == 0 || limit.0 <= 0 {
                     return Err(DriveError::Torque);
                 }
                 Output::Torque {
-                    law: ServoLaw::new(&axis.law, limit, period_us, count(per_count)),
+                    law: ServoLaw::new(&joint.law, limit, period_us, count(per_count)),
                     output: TorqueOutput::new(full_scale),
                 }
             }
@@ -115,16 +115,16 @@ impl JointDrive {
                     return Err(DriveError::Timing);
                 }
                 Output::Steps {
-                    planner: StepPlanner::new(axis.kind, per_step, timing, period_us),
+                    planner: StepPlanner::new(joint.kind, per_step, timing, period_us),
                     supervision: StepSupervision::new(per_step, lost),
                 }
             }
         };
         Ok(Self {
-            kind: axis.kind,
-            encoder: Encoder::new(axis.kind, per_count),
+            kind: joint.kind,
+            encoder: Encoder::new(joint.kind, per_count),
             indexes,
-            backlash: Backlash::new(axis, period_us),
+            backlash: Backlash::new(joint, period_us),
             output,
             monitor: JointMonitor::default(),
             commanded: JointCommand::default(),
@@ -132,7 +132,7 @@ impl JointDrive {
             servo_output: ServoOutput::default(),
             measured_once: false,
             enabled: false,
-            reach: reach(axis, period_us),
+            reach: reach(joint, period_us),
             open_loop: encoder.is_none(),
             placed: true,
         })

@@ -6,12 +6,12 @@
 //!                                                        --step planner--> pulses       (step/dir)
 //! ```
 //!
-//! The servo loop of a step/dir axis is in its drive. The pulses follow the commanded position, and
-//! the encoder supervises them; [`JointMeasurement::slip`] is their difference. A step/dir axis
+//! The servo loop of a step/dir joint is in its drive. The pulses follow the commanded position, and
+//! the encoder supervises them; [`JointMeasurement::slip`] is their difference. A step/dir joint
 //! without an encoder is open loop: it counts the steps that were emitted, in place of the edges of
 //! an encoder, and nothing supervises whether its motor made them.
 //!
-//! Outputs take effect one period after the inputs were latched. The pulses of a step/dir axis end
+//! Outputs take effect one period after the inputs were latched. The pulses of a step/dir joint end
 //! at the commanded position at the end of that next period, two periods after the latch. A torque
 //! axis closes its loop on the commanded position of the latch.
 //!
@@ -94,7 +94,7 @@ pub struct ServoOutput {
     pub command: DriveCommand,
     /// Commanded minus measured coordinate of the motor: the input of the servo law.
     pub following_error: Coordinate,
-    /// Commanded effort; zero on a step/dir axis.
+    /// Commanded effort; zero on a step/dir joint.
     pub effort: Effort,
     /// Part of the effort that accelerates the motor across the lost motion.
     pub crossing: Effort,
@@ -353,11 +353,14 @@ impl JointDrive {
     /// Updates the rotor lock by one period. Returns the distance of the rotor from where its drive
     /// was switched on, and the number of periods for which it has stayed within an eighth of the
     /// limit of lost steps (at least two counts). `None` for a torque drive.
-    pub fn locking(&mut self, axis: &JointSettings) -> Option<(Coordinate, u32)> {
+    pub fn locking(&mut self, joint: &JointSettings) -> Option<(Coordinate, u32)> {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return None;
         };
-        let per_count = axis.encoder.as_ref().map_or(0, |encoder| encoder.per_count);
+        let per_count = joint
+            .encoder
+            .as_ref()
+            .map_or(0, |encoder| encoder.per_count);
         supervision.locking(self.kind, self.measurement.motor, per_count)
     }
 
@@ -430,12 +433,12 @@ impl JointDrive {
     }
 
     /// Checks whether the joint followed its command of the previous period. `joint` is its number,
-    /// `axis` its configuration. `missed` is true if periods were missed before this one.
+    /// `settings` its configuration. `missed` is true if periods were missed before this one.
     #[inline(never)]
     pub fn supervise(
         &mut self,
         joint: u8,
-        axis: &JointSettings,
+        settings: &JointSettings,
         limits: &Supervision,
         period_us: u16,
         missed: bool,
@@ -448,7 +451,7 @@ impl JointDrive {
             moved: measurement.moved,
             effort: self.servo_output.effort,
             crossing: self.servo_output.crossing,
-            rate: if JointMonitor::pushes(axis, self.servo_output.effort) {
+            rate: if JointMonitor::pushes(settings, self.servo_output.effort) {
                 self.encoder.rate()
             } else {
                 Rate::ZERO
@@ -459,8 +462,8 @@ impl JointDrive {
             missed,
             placed: self.placed,
         };
-        let Some(encoder) = &axis.encoder else {
-            return JointMonitor::check_steps(joint, axis, &sample);
+        let Some(encoder) = &settings.encoder else {
+            return JointMonitor::check_steps(joint, settings, &sample);
         };
         if measurement.off != 0 {
             return Some(Fault::EncoderSlip {
@@ -468,8 +471,13 @@ impl JointDrive {
                 counts: measurement.off,
             });
         }
-        self.monitor
-            .check(joint, axis, encoder, limits.illegal_transitions, &sample)
+        self.monitor.check(
+            joint,
+            settings,
+            encoder,
+            limits.illegal_transitions,
+            &sample,
+        )
     }
 
     /// Checks the encoder of a joint whose drive is off: a stuck channel, while the joint is moved
@@ -479,7 +487,7 @@ impl JointDrive {
     pub fn supervise_unpowered(
         &mut self,
         joint: u8,
-        axis: &JointSettings,
+        settings: &JointSettings,
         period_us: u16,
     ) -> Option<Fault> {
         let seen = JointSample {
@@ -488,9 +496,9 @@ impl JointDrive {
             period_us,
             ..JointSample::default()
         };
-        let encoder = axis.encoder.as_ref()?;
+        let encoder = settings.encoder.as_ref()?;
         self.monitor
-            .check_stuck_channel(joint, axis, encoder, &seen)
+            .check_stuck_channel(joint, settings, encoder, &seen)
     }
 
     /// Rate of the motor side, from the times between edges.

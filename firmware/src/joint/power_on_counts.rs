@@ -44,25 +44,25 @@ impl SincePowerOn {
     pub fn update(&mut self, inputs: &Inputs, period_us: u16) {
         let periods = u32::from(inputs.missed) + 1;
         let started = core::mem::replace(&mut self.started, true);
-        for (counted, axis) in self.encoders.iter_mut().zip(&inputs.joints) {
+        for (counted, joint) in self.encoders.iter_mut().zip(&inputs.joints) {
             if started {
-                counted.update(axis, periods, period_us);
+                counted.update(joint, periods, period_us);
             }
-            counted.counts = axis.counts;
-            counted.illegal_raw = axis.illegal;
+            counted.counts = joint.counts;
+            counted.illegal_raw = joint.illegal;
         }
     }
 }
 
 impl Counted {
-    fn update(&mut self, axis: &JointInputs, periods: u32, period_us: u16) {
-        let moved = axis.counts.wrapping_sub(self.counts);
+    fn update(&mut self, joint: &JointInputs, periods: u32, period_us: u16) {
+        let moved = joint.counts.wrapping_sub(self.counts);
         self.travelled = self.travelled.saturating_add(i64::from(moved));
         self.widest = self.widest.max(moved.unsigned_abs() / periods);
         let place = self.travelled as i32;
         let is_away = self.reversals.place().wrapping_sub(place).unsigned_abs() > STUCK_COUNTS;
         self.stuck |= self.reversals.update(moved, is_away, place, period_us);
-        let illegal = axis.illegal.wrapping_sub(self.illegal_raw);
+        let illegal = joint.illegal.wrapping_sub(self.illegal_raw);
         self.illegal = self.illegal.saturating_add(u32::from(illegal));
     }
 }

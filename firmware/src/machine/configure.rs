@@ -55,15 +55,15 @@ pub struct EncoderScaling(
 );
 
 impl EncoderScaling {
-    fn of(axis: &JointSettings) -> Self {
-        let (per_count, index, pitch) = match (&axis.encoder, &axis.drive) {
+    fn of(joint: &JointSettings) -> Self {
+        let (per_count, index, pitch) = match (&joint.encoder, &joint.drive) {
             (Some(encoder), _) => (encoder.per_count, encoder.index, encoder.index_pitch),
             (None, Drive::Steps { per_step, .. }) => (*per_step, Coordinate(0), Coordinate(0)),
             (None, Drive::Torque { .. }) => (0, Coordinate(0), Coordinate(0)),
         };
-        let home = axis.home.switch();
+        let home = joint.home.switch();
         let switch = home.map(|home| (home.input, home.downwards, home.coordinate));
-        Self(axis.kind, per_count, [axis.preset, index, pitch], switch)
+        Self(joint.kind, per_count, [joint.preset, index, pitch], switch)
     }
 }
 
@@ -108,8 +108,8 @@ impl Machine {
     #[inline(never)]
     fn check_joints(config: &Config) -> Result<(), ConfigProblem> {
         config.check()?;
-        for (index, axis) in config.joints.iter().enumerate() {
-            JointDrive::new(axis, config.period_us).map_err(|_| ConfigProblem {
+        for (index, joint) in config.joints.iter().enumerate() {
+            JointDrive::new(joint, config.period_us).map_err(|_| ConfigProblem {
                 field: ConfigField::Drive,
                 index: Some(index as u8),
             })?;
@@ -121,12 +121,12 @@ impl Machine {
     #[cold]
     #[inline(never)]
     fn create_joints(&mut self, inputs: &Inputs) {
-        for (axis, inputs_of_axis) in self.config.joints.iter().zip(&inputs.joints) {
-            let Ok(mut joint) = JointDrive::new(axis, self.config.period_us) else {
+        for (settings, joint_inputs) in self.config.joints.iter().zip(&inputs.joints) {
+            let Ok(mut joint) = JointDrive::new(settings, self.config.period_us) else {
                 return;
             };
-            joint.measure(inputs_of_axis, inputs.time_ns);
-            joint.set_reference(joint.counter(inputs_of_axis), axis.preset);
+            joint.measure(joint_inputs, inputs.time_ns);
+            joint.set_reference(joint.counter(joint_inputs), settings.preset);
             let _ = self.joints.push(joint);
         }
     }
@@ -196,7 +196,7 @@ impl Machine {
     pub fn positions(&self) -> PositionSnapshot {
         let joints = self.config.joints.iter().zip(&self.joints);
         joints
-            .map(|(axis, joint)| (EncoderScaling::of(axis), joint.encoder_state()))
+            .map(|(settings, joint)| (EncoderScaling::of(settings), joint.encoder_state()))
             .collect()
     }
 
@@ -217,8 +217,8 @@ impl Machine {
 
     /// Whether the next index pulse of a joint will confirm or refute its encoder.
     #[must_use]
-    pub fn index_decides(&self, axis: u8) -> bool {
-        let joint = self.joints.get(usize::from(axis));
+    pub fn index_decides(&self, joint: u8) -> bool {
+        let joint = self.joints.get(usize::from(joint));
         joint.is_some_and(|joint| joint.indexes().is_armed())
     }
 

@@ -98,12 +98,14 @@ impl Machine {
         let expired = *left == 0;
         let settled_periods = LOCKED_US / u32::from(self.config.period_us.max(1));
         let mut locked = true;
-        for (index, (joint, axis)) in self.joints.iter_mut().zip(&self.config.joints).enumerate() {
-            let Some((by, quiet)) = joint.locking(axis) else {
+        for (index, (joint, settings)) in
+            self.joints.iter_mut().zip(&self.config.joints).enumerate()
+        {
+            let Some((by, quiet)) = joint.locking(settings) else {
                 continue;
             };
             let moves = quiet < settled_periods;
-            let following = axis.encoder.as_ref().map(|encoder| encoder.following);
+            let following = settings.encoder.as_ref().map(|encoder| encoder.following);
             let too_far = following.is_some_and(|limit| by.magnitude() > limit.magnitude());
             if too_far || (expired && moves) {
                 return Err(Fault::NotLocked {
@@ -161,11 +163,11 @@ impl Machine {
         self.motion.begin_jog(false);
         self.begin_switches(known);
         self.homing = Homing::default();
-        for (index, (joint, axis)) in self.joints.iter().zip(&self.config.joints).enumerate() {
-            if axis.home == Home::Preset {
+        for (index, (joint, settings)) in self.joints.iter().zip(&self.config.joints).enumerate() {
+            if settings.home == Home::Preset {
                 let motor = joint.measurement().motor;
                 self.homing
-                    .place(index, axis.preset.0.wrapping_sub(motor.0));
+                    .place(index, settings.preset.0.wrapping_sub(motor.0));
             }
         }
     }
@@ -173,9 +175,9 @@ impl Machine {
     /// Passes the index pulses of this period to homing.
     #[inline]
     pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
-        for (index, axis) in self.config.joints.iter().enumerate() {
+        for (index, joint) in self.config.joints.iter().enumerate() {
             if let Some((_, coordinate)) = self.joints[index].measurement().index
-                && let Some(encoder) = &axis.encoder
+                && let Some(encoder) = &joint.encoder
                 && let Some(fault) = self.homing.index(index, encoder, coordinate)
             {
                 return Err(fault);

@@ -30,7 +30,9 @@ impl Gantries {
     pub(super) fn new(config: &Config) -> Self {
         let joints = config.joints.iter().rev();
         Self {
-            seconds: joints.fold(0, |bits, axis| bits << 1 | u8::from(axis.gantry.is_some())),
+            seconds: joints.fold(0, |bits, joint| {
+                bits << 1 | u8::from(joint.gantry.is_some())
+            }),
             ..Self::default()
         }
     }
@@ -51,20 +53,20 @@ impl Gantries {
 struct Second<'a> {
     joint: usize,
     first: usize,
-    axis: &'a JointSettings,
+    settings: &'a JointSettings,
     gantry: &'a GantryAxis,
 }
 
 /// The second motors of a configuration.
 fn seconds(config: &Config) -> impl Iterator<Item = Second<'_>> {
     let joints = config.joints.iter().enumerate();
-    joints.filter_map(|(joint, axis)| {
-        let gantry = axis.gantry.as_ref()?;
+    joints.filter_map(|(joint, settings)| {
+        let gantry = settings.gantry.as_ref()?;
         let first = usize::from(gantry.of).min(MAX_AXES - 1);
         Some(Second {
             joint,
             first,
-            axis,
+            settings,
             gantry,
         })
     })
@@ -87,7 +89,7 @@ impl Machine {
     pub(super) fn place_gantries(&mut self, joints: &Joints) {
         for second in seconds(&self.config) {
             let (at, first) = (joints.0[second.joint], joints.0[second.first]);
-            self.gantries.offsets[second.joint] = difference(second.axis.kind, at, first);
+            self.gantries.offsets[second.joint] = difference(second.settings.kind, at, first);
         }
     }
 
@@ -106,7 +108,11 @@ impl Machine {
         let period = i64::from(self.config.period_us);
         for second in seconds(&self.config) {
             let offset = &mut self.gantries.offsets[second.joint];
-            let rate = second.axis.home.switch().map_or(0, |it| it.touch_rate.0);
+            let rate = second
+                .settings
+                .home
+                .switch()
+                .map_or(0, |it| it.touch_rate.0);
             let max = (i64::from(rate) * period / 1_000_000).max(1);
             let closes = if known {
                 -i64::from(offset.0).clamp(-max, max)
@@ -117,7 +123,7 @@ impl Machine {
             let (offset, target) = (*offset, &mut self.target);
             let closing = Rate::saturating_from(closes * 1_000_000 / period.max(1));
             target.joints.0[second.joint] =
-                sum(second.axis.kind, target.joints.0[second.first], offset);
+                sum(second.settings.kind, target.joints.0[second.first], offset);
             let first = target.rates[second.first];
             target.rates[second.joint] = Rate(first.0.saturating_add(closing.0));
             target.accelerations[second.joint] = target.accelerations[second.first];
@@ -170,7 +176,7 @@ impl Machine {
             Event::Squared {
                 joint: second.joint as u8,
                 // The coordinate rises where the motor was behind.
-                by: difference(second.axis.kind, first, own).0,
+                by: difference(second.settings.kind, first, own).0,
             }
         });
         shifted.chain(squared)

@@ -86,11 +86,11 @@ impl Machine {
         let mut pose = Pose::default();
         let mut rates = [Rate::ZERO; MAX_AXES];
         let to = setpoint.pose.iter().zip(&setpoint.rates);
-        for (axis, (solve, rate)) in to.enumerate() {
-            pose.0[axis] = Coordinate(*solve);
-            if self.motion.is_led_by_program(axis) {
+        for (coordinate, (solve, rate)) in to.enumerate() {
+            pose.0[coordinate] = Coordinate(*solve);
+            if self.motion.is_led_by_program(coordinate) {
                 // Rates from the wire are below 2^24; the setpoint check refuses others.
-                rates[axis] = Rate(rate.saturating_mul(1 << RATE_SHIFT));
+                rates[coordinate] = Rate(rate.saturating_mul(1 << RATE_SHIFT));
             }
         }
         self.joint_rates.end = self.node(&pose, &rates)?;
@@ -131,8 +131,8 @@ impl Machine {
             let sample = self.motion.program.sample_to(setpoint, begun + PIECE);
             let sample = sample.ok_or(Refusal::Setpoint { setpoint: number })?;
             let mut rates = sample.rates;
-            for (axis, rate) in rates.iter_mut().enumerate() {
-                if !self.motion.is_led_by_program(axis) {
+            for (coordinate, rate) in rates.iter_mut().enumerate() {
+                if !self.motion.is_led_by_program(coordinate) {
                     *rate = Rate::ZERO;
                 }
             }

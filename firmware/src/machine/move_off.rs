@@ -47,8 +47,8 @@ pub(super) struct MoveOff {
 }
 
 /// Width of the stroke; of a joint without ends that of the whole circle.
-fn stroke(axis: &JointSettings) -> u32 {
-    axis.high.0.wrapping_sub(axis.low.0) as u32
+fn stroke(joint: &JointSettings) -> u32 {
+    joint.high.0.wrapping_sub(joint.low.0) as u32
 }
 
 fn part(of: u32, shift: u32) -> Coordinate {
@@ -56,9 +56,9 @@ fn part(of: u32, shift: u32) -> Coordinate {
 }
 
 /// The motion off the limit switch at the lower or the upper end.
-fn motion_off(axis: &JointSettings, input: SwitchInput) -> SwitchHome {
-    let rate = Rate((axis.rate.0 >> RATE_SHIFT).max(1));
-    let travel = part(stroke(axis), TRAVEL_SHIFT);
+fn motion_off(joint: &JointSettings, input: SwitchInput) -> SwitchHome {
+    let rate = Rate((joint.rate.0 >> RATE_SHIFT).max(1));
+    let travel = part(stroke(joint), TRAVEL_SHIFT);
     SwitchHome {
         input,
         order: 0,
@@ -68,7 +68,7 @@ fn motion_off(axis: &JointSettings, input: SwitchInput) -> SwitchHome {
         touch_rate: rate,
         // The unit of an acceleration is 2^8 axis units per second squared.
         acceleration: Acceleration(((rate.0 >> 8) << RISE_SHIFT).max(1)),
-        back_off: part(stroke(axis), BACK_OFF_SHIFT),
+        back_off: part(stroke(joint), BACK_OFF_SHIFT),
         release: travel,
         travel,
     }
@@ -97,15 +97,15 @@ impl Machine {
     #[inline(never)]
     pub fn begin_move_off(&mut self, index: u8, inputs: &Inputs) -> Result<(), Refusal> {
         let joint = usize::from(index);
-        let axis = self.config.joints.get(joint).ok_or(Refusal::Range)?;
+        let settings = self.config.joints.get(joint).ok_or(Refusal::Range)?;
         let mut ignored = [0; MAX_AXES];
         let joints = self.config.joints.iter().zip(&inputs.joints);
-        for (other, (slot, (axis, seen))) in ignored.iter_mut().zip(joints).enumerate() {
+        for (other, (slot, (settings, seen))) in ignored.iter_mut().zip(joints).enumerate() {
             if !seen.drive_ready {
                 let joint = other as u8;
                 return Err(Refusal::Input(InputProblem::Drive { joint }));
             }
-            *slot = axis.active_switches(seen) & LIMITS;
+            *slot = settings.active_switches(seen) & LIMITS;
         }
         let partner = self.config.partner(joint);
         let active = ignored[joint] | partner.map_or(0, |partner| ignored[partner]);
@@ -126,7 +126,7 @@ impl Machine {
         let move_off = MoveOff {
             joint,
             partner,
-            motion: motion_off(axis, input),
+            motion: motion_off(settings, input),
             search: SwitchSearch::moving_off(),
             is_extended: false,
         };
@@ -141,13 +141,13 @@ impl Machine {
     /// The end of its stroke that a joint is beyond. A joint that homes by a switch has no
     /// coordinate before it is homed.
     fn side_beyond_stroke(&self, joint: usize) -> Option<SwitchInput> {
-        let axis = self.config.joints.get(joint)?;
-        if axis.home.switch().is_some() || axis.wraps() {
+        let settings = self.config.joints.get(joint)?;
+        if settings.home.switch().is_some() || settings.wraps() {
             return None;
         }
         match self.measured.0[joint] {
-            at if at < axis.low => Some(SwitchInput::LimitLow),
-            at if at > axis.high => Some(SwitchInput::LimitHigh),
+            at if at < settings.low => Some(SwitchInput::LimitLow),
+            at if at > settings.high => Some(SwitchInput::LimitHigh),
             _ => None,
         }
     }
@@ -173,7 +173,7 @@ impl Machine {
         let bit = move_off.motion.input.bit();
         let active = motors.clone().any(|motor| {
             let switches = self.config.joints.get(motor).zip(inputs.joints.get(motor));
-            switches.is_some_and(|(axis, seen)| axis.active_switches(seen) & bit != 0)
+            switches.is_some_and(|(settings, seen)| settings.active_switches(seen) & bit != 0)
         });
         let at_rest = if stopping {
             move_off.search.halt(&move_off.motion, period_us)
@@ -198,10 +198,10 @@ impl Machine {
         let change = move_off.search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
         for motor in motors {
             let origin = self.switches.origin.0[motor];
-            let Some(axis) = self.config.joints.get(motor) else {
+            let Some(settings) = self.config.joints.get(motor) else {
                 continue;
             };
-            self.target.joints.0[motor] = sum(axis.kind, origin, moved);
+            self.target.joints.0[motor] = sum(settings.kind, origin, moved);
             self.target.rates[motor] = Rate::saturating_from(move_off.search.rate());
             self.target.accelerations[motor] = Acceleration(change as i32);
         }
@@ -218,16 +218,16 @@ impl Machine {
         let Some(move_off) = &mut self.switches.move_off else {
             return false;
         };
-        let Some(axis) = self.config.joints.get(move_off.joint) else {
+        let Some(settings) = self.config.joints.get(move_off.joint) else {
             return false;
         };
         let at = i64::from(self.target.joints.0[move_off.joint].0);
-        let inside = i64::from(stroke(axis) >> INSIDE_SHIFT);
+        let inside = i64::from(stroke(settings) >> INSIDE_SHIFT);
         let beyond = inside
             + if move_off.motion.downwards {
-                i64::from(axis.low.0) - at
+                i64::from(settings.low.0) - at
             } else {
-                at - i64::from(axis.high.0)
+                at - i64::from(settings.high.0)
             };
         let max = i64::from(move_off.motion.travel.0) * 2;
         if move_off.is_extended || beyond <= 0 || beyond > max {

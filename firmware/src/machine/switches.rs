@@ -57,7 +57,7 @@ impl Machine {
     pub(super) fn begin_switches(&mut self, known: bool) {
         let mut joints = self.config.joints.iter();
         self.switches = Switches {
-            active: joints.any(|axis| axis.home.switch().is_some()),
+            active: joints.any(|joint| joint.home.switch().is_some()),
             origin: self.target.joints,
             known,
             ..Switches::default()
@@ -94,8 +94,8 @@ impl Machine {
 
     /// Sets whether the strokes of the joints that home by a switch are supervised.
     fn set_placed(&mut self, placed: bool) {
-        for (joint, axis) in self.joints.iter_mut().zip(&self.config.joints) {
-            joint.set_placed(placed || axis.home.switch().is_none());
+        for (joint, settings) in self.joints.iter_mut().zip(&self.config.joints) {
+            joint.set_placed(placed || settings.home.switch().is_none());
         }
     }
 
@@ -111,8 +111,9 @@ impl Machine {
         let mut rest = true;
         // The motors of a gantry wait for each other, as they were in the period before.
         let before = self.switches.searches;
-        for (index, axis) in self.config.joints.iter().enumerate() {
-            let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get(index)) else {
+        for (index, settings) in self.config.joints.iter().enumerate() {
+            let (Some(config), Some(joint)) = (settings.home.switch(), self.joints.get(index))
+            else {
                 continue;
             };
             let search = &mut self.switches.searches[index];
@@ -120,8 +121,8 @@ impl Machine {
                 rest &= search.halt(config, period_us);
             } else {
                 rest = false;
-                let encoder = axis.encoder.as_ref();
-                let index_travel = match axis.home {
+                let encoder = settings.encoder.as_ref();
+                let index_travel = match settings.home {
                     Home::SwitchAndIndex(_) => {
                         encoder.map(|encoder| i64::from(encoder.index_pitch.0) * 6 / 5)
                     }
@@ -132,7 +133,8 @@ impl Machine {
                 let search_inputs = SearchInputs {
                     config,
                     partner,
-                    active: axis.active_switches(&inputs.joints[index]) & config.input.bit() != 0,
+                    active: settings.active_switches(&inputs.joints[index]) & config.input.bit()
+                        != 0,
                     place: measurement.coordinate,
                     index: measurement.index.map(|(_, coordinate)| coordinate),
                     index_travel,
@@ -146,7 +148,7 @@ impl Machine {
                     })?;
             }
             let moved = Coordinate(search.moved() as i32);
-            self.target.joints.0[index] = sum(axis.kind, self.switches.origin.0[index], moved);
+            self.target.joints.0[index] = sum(settings.kind, self.switches.origin.0[index], moved);
             self.target.rates[index] = Rate::saturating_from(search.rate());
             let change = search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
             self.target.accelerations[index] = Acceleration(change as i32);
@@ -168,7 +170,7 @@ impl Machine {
         let joints = self.config.joints.iter().zip(&self.switches.searches);
         let missing = joints.filter(|(_, search)| !search.is_done());
         missing
-            .filter_map(|(axis, _)| Some(axis.home.switch()?.order))
+            .filter_map(|(joint, _)| Some(joint.home.switch()?.order))
             .min()
     }
 
@@ -176,8 +178,8 @@ impl Machine {
     /// placed at their presets. Nothing moves.
     pub(super) fn place_joints(&mut self, inputs: &Inputs, found: bool) -> Result<(), Fault> {
         let mut commanded = self.target.joints;
-        for (index, axis) in self.config.joints.iter().enumerate() {
-            let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get_mut(index))
+        for (index, settings) in self.config.joints.iter().enumerate() {
+            let (Some(config), Some(joint)) = (settings.home.switch(), self.joints.get_mut(index))
             else {
                 continue;
             };
@@ -185,8 +187,8 @@ impl Machine {
             let (touched, pulse) = self.switches.searches[index].found();
             let mut by = config.coordinate.0.wrapping_sub(touched.0);
             if !found {
-                by = axis.preset.0.wrapping_sub(motor.0);
-            } else if let (Some(pulse), Some(encoder)) = (pulse, &axis.encoder) {
+                by = settings.preset.0.wrapping_sub(motor.0);
+            } else if let (Some(pulse), Some(encoder)) = (pulse, &settings.encoder) {
                 // The pulses come once a turn of the motor.
                 let pitch = i64::from(encoder.index_pitch.0).max(1);
                 let place = i64::from(pulse.0.wrapping_add(by));
@@ -203,7 +205,7 @@ impl Machine {
             let counter = joint.counter(&inputs.joints[index]);
             let shift = joint.set_reference(counter, Coordinate(motor.0.wrapping_add(by)));
             self.switches.shifts[index] = shift;
-            commanded.0[index] = sum(axis.kind, commanded.0[index], shift);
+            commanded.0[index] = sum(settings.kind, commanded.0[index], shift);
             self.homing.place(index, 0);
         }
         self.update_measured();
@@ -215,11 +217,11 @@ impl Machine {
     /// Places the joints that home by a switch at their presets while the drives are off: their
     /// positions are unknown, so no other check keeps them within their strokes.
     pub fn forget_joints(&mut self, inputs: &Inputs) {
-        for (index, axis) in self.config.joints.iter().enumerate() {
-            if axis.home.switch().is_some()
+        for (index, settings) in self.config.joints.iter().enumerate() {
+            if settings.home.switch().is_some()
                 && let Some(joint) = self.joints.get_mut(index)
             {
-                joint.set_reference(joint.counter(&inputs.joints[index]), axis.preset);
+                joint.set_reference(joint.counter(&inputs.joints[index]), settings.preset);
             }
         }
         self.update_measured();
@@ -230,16 +232,16 @@ impl Machine {
     #[cold]
     #[inline(never)]
     pub fn hardware_fault(&self, inputs: &[JointInputs; MAX_AXES], homed: bool) -> Option<Fault> {
-        for (index, axis) in self.config.joints.iter().enumerate() {
+        for (index, joint) in self.config.joints.iter().enumerate() {
             let inputs = inputs.get(index)?;
             let mut limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
             limits &= !self.switches.ignored[index];
-            if let Some(home) = axis.home.switch()
+            if let Some(home) = joint.home.switch()
                 && !homed
             {
                 limits &= !home.input.bit();
             }
-            if axis.active_switches(inputs) & limits != 0 {
+            if joint.active_switches(inputs) & limits != 0 {
                 return Some(Fault::LimitSwitch { joint: index as u8 });
             }
             if !inputs.drive_ready {
@@ -251,9 +253,9 @@ impl Machine {
 
     /// Whether every switch is active at a high level and none of the limits serves for homing.
     pub(super) fn has_plain_switches(&self) -> bool {
-        self.config.joints.iter().all(|axis| {
-            let input = axis.home.switch().map(|switch| switch.input);
-            axis.active_low == 0 && !input.is_some_and(|input| input != SwitchInput::Home)
+        self.config.joints.iter().all(|joint| {
+            let input = joint.home.switch().map(|switch| switch.input);
+            joint.active_low == 0 && !input.is_some_and(|input| input != SwitchInput::Home)
         })
     }
 }

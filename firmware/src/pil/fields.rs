@@ -85,23 +85,28 @@ fn take_currents(words: &mut Reader<'_>) -> HapticOutputs {
     haptic
 }
 
-pub(super) fn put_axis(words: &mut Writer<'_>, axis: &JointInputs) {
-    let bits = [axis.home, axis.limit_low, axis.limit_high, axis.drive_ready];
+pub(super) fn put_joint(words: &mut Writer<'_>, joint: &JointInputs) {
+    let bits = [
+        joint.home,
+        joint.limit_low,
+        joint.limit_high,
+        joint.drive_ready,
+    ];
     let bits = bits
         .iter()
         .rev()
         .fold(0, |all, &bit| all << 1 | u32::from(bit));
     words.put_all([
-        axis.counts as u32,
-        axis.edge_time_ns,
-        axis.index_counts as u32,
-        axis.steps as u32,
-        u32::from(axis.illegal) | u32::from(axis.index_pulses) << 16 | bits << 24,
+        joint.counts as u32,
+        joint.edge_time_ns,
+        joint.index_counts as u32,
+        joint.steps as u32,
+        u32::from(joint.illegal) | u32::from(joint.index_pulses) << 16 | bits << 24,
     ]);
 }
 
 #[inline(always)]
-pub(super) fn take_axis(words: &mut Reader<'_>) -> JointInputs {
+pub(super) fn take_joint(words: &mut Reader<'_>) -> JointInputs {
     let [counts, edge_time_ns, index_counts, steps, rest] = words.take_all();
     let bit = |index: u32| rest >> (24 + index) & 1 != 0;
     JointInputs {

@@ -36,8 +36,8 @@ use crate::io::{Inputs, Outputs};
 use crate::profiler::STAGES;
 use crate::snapshot::Snapshot;
 use fields::{
-    put_analog, put_axis, put_done, put_force, put_haptic, take_analog, take_axis, take_done,
-    take_force, take_haptic,
+    put_analog, put_done, put_force, put_haptic, put_joint, take_analog, take_done, take_force,
+    take_haptic, take_joint,
 };
 pub use words::seal;
 use words::{Reader, Writer, check, from_bytes, to_bytes};
@@ -215,8 +215,8 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Reques
             inputs.analog = take_analog(&mut words);
             inputs.force = take_force(&mut words);
             take_haptic(&mut words, &mut inputs.haptic);
-            for axis in &mut inputs.joints {
-                *axis = take_axis(&mut words);
+            for joint in &mut inputs.joints {
+                *joint = take_joint(&mut words);
             }
             Ok(Request::Period { arrived })
         }
@@ -255,8 +255,8 @@ impl ToBoard {
                 put_analog(&mut words, inputs.analog);
                 put_force(&mut words, &inputs.force);
                 put_haptic(&mut words, &inputs.haptic);
-                for axis in &inputs.joints {
-                    put_axis(&mut words, axis);
+                for joint in &inputs.joints {
+                    put_joint(&mut words, joint);
                 }
             }
             Self::End => words.head(3),

@@ -15,7 +15,7 @@ fn config() -> ProptestConfig {
 }
 
 prop_compose! {
-    fn axis()(
+    fn joint()(
         counts: i32, edge_time_ns: u32, illegal: u16, index_counts: i32, index_pulses: u8, steps: i32,
         (home, limit_low, limit_high, drive_ready) in any::<(bool, bool, bool, bool)>(),
     ) -> JointInputs {
@@ -69,7 +69,7 @@ prop_compose! {
 prop_compose! {
     fn done()(
         period: u64,
-        axes in prop::array::uniform6(command()),
+        joints in prop::array::uniform6(command()),
         (spindle_rpm, transmitted) in any::<(i16, u16)>(),
         (digital, analog) in any::<(u32, [i16; 4])>(),
         (received, waiting, lost_bytes, out_of_band_stop) in any::<(u16, u16, u16, bool)>(),
@@ -79,7 +79,7 @@ prop_compose! {
     ) -> Done {
         Done {
             period,
-            outputs: Outputs { joints: axes, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
+            outputs: Outputs { joints, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
             transmitted,
             line_inputs: LineInputs { received, waiting, lost_bytes, out_of_band_stop },
             stages,
@@ -95,10 +95,10 @@ proptest! {
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
-        axes in prop::array::uniform6(axis()), period_us: u16, haptic in haptic(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
+        joints in prop::array::uniform6(joint()), period_us: u16, haptic in haptic(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
     ) {
         let force = ForceSample { codes, conversions, overload };
-        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, joints: axes, digital, analog, ..Inputs::default() };
+        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, joints, digital, analog, ..Inputs::default() };
         for message in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&message.encode()), Ok(message));
         }

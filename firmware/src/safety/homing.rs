@@ -85,8 +85,8 @@ impl Homing {
             self.reversed = false;
             self.slower = 0;
             // Upwards, but from the upper quarter of the range towards its middle.
-            self.downwards = machine.config.pose.get(coordinate).is_some_and(|axis| {
-                let (low, high) = (i64::from(axis.low.0), i64::from(axis.high.0));
+            self.downwards = machine.config.pose.get(coordinate).is_some_and(|limits| {
+                let (low, high) = (i64::from(limits.low.0), i64::from(limits.high.0));
                 i64::from(pose.0[coordinate].0) > high - (high - low) / 4
             });
         }
@@ -101,10 +101,10 @@ impl Homing {
 
     /// Sets the rates of this period; they depend on the pose.
     fn steer(&self, machine: &Searched<'_>, joint: usize, pose: &Pose, jog: &mut Jog) {
-        let Some(axis) = machine.config.joints.get(joint) else {
+        let Some(settings) = machine.config.joints.get(joint) else {
             return;
         };
-        let rate = search_rate(machine.config, axis.kind) >> self.slower;
+        let rate = search_rate(machine.config, settings.kind) >> self.slower;
         let rate = if self.downwards { -rate } else { rate };
         let rates = machine.kinematics.search_rates(joint, pose, rate);
         jog.set_rates(&rates, self.left);

@@ -42,8 +42,8 @@ impl Bench {
         let mut link = HostLink::new(Timing::default());
         link.open(7, 0);
         let mut inputs = Inputs::default();
-        for axis in &mut inputs.joints {
-            axis.drive_ready = true;
+        for joint in &mut inputs.joints {
+            joint.drive_ready = true;
         }
         inputs.haptic.drives_ready = true;
         let turn = rotation([0.0, 0.0, 1.0], 0.0);

@@ -132,13 +132,13 @@ pub(super) fn step_efforts(
     bodies: &Bodies,
     drive: &mut JointArray,
 ) {
-    for (axis, joint) in joints.iter_mut().enumerate() {
+    for (index, joint) in joints.iter_mut().enumerate() {
         if let (Drive::Steps(stepper), DriveCommand::Steps(_)) =
-            (&mut joint.drive, &outputs.joints[axis])
+            (&mut joint.drive, &outputs.joints[index])
         {
-            let effort = stepper.effort(part, bodies.motor[axis], bodies.motor_rate[axis]);
+            let effort = stepper.effort(part, bodies.motor[index], bodies.motor_rate[index]);
             let alive = powered && !joint.condition.drive_tripped;
-            drive[axis] = if alive {
+            drive[index] = if alive {
                 effort * joint.condition.drive_gain
             } else {
                 0.0

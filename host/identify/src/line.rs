@@ -80,12 +80,12 @@ impl<'a> Geometry<'a> {
     /// Pose in axis units at joint positions; `None` outside the machine's reach.
     fn pose(&self, joints: &[f64; JOINTS]) -> Option<Pose> {
         let mut units = Joints::default();
-        for (slot, (axis, value)) in units
+        for (slot, (joint, value)) in units
             .0
             .iter_mut()
             .zip(self.machine.joints.iter().zip(joints))
         {
-            *slot = Coordinate((value * per_unit(axis.kind)).round() as i64 as i32);
+            *slot = Coordinate((value * per_unit(joint.kind)).round() as i64 as i32);
         }
         self.kinematics.forward(&units).ok()
     }

@@ -271,9 +271,9 @@ impl<'a, L: session::Line> SwitchTest<'a, L> {
         joints: &'a [StepJoint],
     ) -> Self {
         let mut slow = machine.clone();
-        for (limits, axis) in slow.joints.iter_mut().zip(&machine.config.joints) {
-            if let Some(switch) = axis.home.switch() {
-                let homing = f64::from(switch.rate.0) / per_unit(axis.kind);
+        for (limits, joint) in slow.joints.iter_mut().zip(&machine.config.joints) {
+            if let Some(switch) = joint.home.switch() {
+                let homing = f64::from(switch.rate.0) / per_unit(joint.kind);
                 limits.rate = limits.rate.min(homing);
             }
         }
@@ -425,20 +425,20 @@ impl<'a, L: session::Line> SwitchTest<'a, L> {
         let joints = self.joints.iter().zip(&spread);
         let mut found = joints
             .map(|(it, spread)| {
-                let axis = &self.machine.joints[it.joint];
+                let joint = &self.machine.joints[it.joint];
                 if 4.0 * spread > it.turn / 2.0 {
                     let what = format!(
                         "joint {}: its home switch trips {spread:.1} steps apart, and a loss of \
                          {:.0} steps must show; lower touch_rate, mend the switch, or lower \
                          the rate in [joint.switch], at which the motor may lose steps",
-                        axis.name, it.turn,
+                        joint.name, it.turn,
                     );
                     return Err(Error::new(ErrorKind::Refused, what));
                 }
                 Ok(StepLimits {
                     joint: it.joint,
-                    name: axis.name.clone(),
-                    kind: axis.kind,
+                    name: joint.name.clone(),
+                    kind: joint.kind,
                     bounds: it.bounds,
                     threshold: (4.0 * spread).max(it.turn / 4.0),
                     rates: Vec::new(),

@@ -252,7 +252,7 @@ impl Recording {
     /// Returns millimetres or degrees per axis unit for each joint.
     pub fn joint_units(&self) -> Vec<f64> {
         let axes = self.config.joints.iter();
-        axes.map(|axis| per_axis_unit(axis.kind)).collect()
+        axes.map(|joint| per_axis_unit(joint.kind)).collect()
     }
 
     /// Returns scale and unit of each joint's drive command: newtons or newton metres per DAC code,

@@ -35,7 +35,7 @@ fn run_until_failure(board: Board, words: &[&str; 3]) -> (String, Duration) {
     bench.steps(200);
     let off = |bench: &Bench<Remote>| {
         let outputs = bench.rig.outputs();
-        let off = |axis: &DriveCommand| *axis == DriveCommand::Off;
+        let off = |joint: &DriveCommand| *joint == DriveCommand::Off;
         outputs.joints.iter().all(off) && outputs.spindle_rpm == 0
     };
     assert!(!off(&bench), "the drives are not on by period {PERIOD}");

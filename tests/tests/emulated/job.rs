@@ -320,7 +320,7 @@ fn run_until_failure(
                 rig.outputs()
                     .joints
                     .iter()
-                    .all(|axis| *axis == DriveCommand::Off)
+                    .all(|joint| *joint == DriveCommand::Off)
             );
             return (reason.to_string(), begun.elapsed());
         }

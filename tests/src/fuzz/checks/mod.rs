@@ -134,7 +134,7 @@ fn gantry_partner(joints: &[JointSettings], joint: usize) -> Option<usize> {
 /// Returns the active limit switches of each joint, one bit for each end.
 fn limits(axes: &[JointInputs; 6]) -> [u8; 6] {
     axes.each_ref()
-        .map(|axis| u8::from(axis.limit_low) | u8::from(axis.limit_high) << 1)
+        .map(|joint| u8::from(joint.limit_low) | u8::from(joint.limit_high) << 1)
 }
 
 /// Returns the commanded pose in axis units.

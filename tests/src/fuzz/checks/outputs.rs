@@ -30,7 +30,10 @@ impl Checks {
         let (safety, outputs, inputs) =
             (controller.safety(), bench.rig.outputs(), bench.rig.inputs());
         let state = safety.state();
-        let on = outputs.joints.iter().any(|axis| *axis != DriveCommand::Off);
+        let on = outputs
+            .joints
+            .iter()
+            .any(|joint| *joint != DriveCommand::Off);
         let haptic = outputs.haptic != HapticOutputs::default();
         let all_off = !on && !haptic && outputs.spindle_rpm == 0;
         let holding = state == State::Fault && safety.fault().is_some_and(|fault| holds(&fault));

@@ -147,9 +147,9 @@ fn mutate_coordinate(axis: &mut PoseAxis, word: i32, rng: &mut Rng) {
     }
 }
 
-fn mutate_joint(axis: &mut JointSettings, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
+fn mutate_joint(joint: &mut JointSettings, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
     let number = rng.below(24);
-    if let (3..=4 | 6..=8 | 10..=13, Some(encoder)) = (number, &mut axis.encoder) {
+    if let (3..=4 | 6..=8 | 10..=13, Some(encoder)) = (number, &mut joint.encoder) {
         match number {
             3 => encoder.per_count = wide,
             4 => encoder.per_count = -encoder.per_count,
@@ -164,20 +164,20 @@ fn mutate_joint(axis: &mut JointSettings, (word, half, wide): (i32, u16, i64), r
         return;
     }
     match number {
-        0 => axis.low.0 = word,
-        1 => axis.high.0 = word,
-        2 => axis.rate.0 = word,
-        5 => axis.backlash.0 = word,
-        9 => axis.preset.0 = word,
-        14 => axis.law.kp.0 = word as u32,
-        15 => axis.law.kd.0 = word as u32,
-        16 => axis.law.rate_filter_us = half,
-        17 => axis.law.inertia = word as u32,
-        18 => axis.law.viscous = word as u32,
-        19 => axis.law.coulomb.0 = word,
-        20 => axis.law.coulomb_rate.0 = word,
-        21 => axis.law.ki.0 = word as u32,
-        _ => match &mut axis.drive {
+        0 => joint.low.0 = word,
+        1 => joint.high.0 = word,
+        2 => joint.rate.0 = word,
+        5 => joint.backlash.0 = word,
+        9 => joint.preset.0 = word,
+        14 => joint.law.kp.0 = word as u32,
+        15 => joint.law.kd.0 = word as u32,
+        16 => joint.law.rate_filter_us = half,
+        17 => joint.law.inertia = word as u32,
+        18 => joint.law.viscous = word as u32,
+        19 => joint.law.coulomb.0 = word,
+        20 => joint.law.coulomb_rate.0 = word,
+        21 => joint.law.ki.0 = word as u32,
+        _ => match &mut joint.drive {
             Drive::Torque { full_scale, limit } => {
                 if rng.chance(0.5) {
                     full_scale.0 = word;
