@@ -5,11 +5,9 @@ use haptimill_firmware::config::{
     AxisKind, Drive, EncoderSettings, Home, JointSettings, ServoConfig, ServoForm,
 };
 use haptimill_firmware::io::{DriveCommand, JointInputs};
-use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::joint::torque::TorqueOutput;
 use haptimill_firmware::joint::{DriveError, JointCommand, JointDrive, ServoOutput};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
-use haptimill_protocol::message::Fault;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -32,14 +30,14 @@ fn drive_to(joint: &mut JointDrive, commanded: &JointCommand) -> ServoOutput {
     *joint.servo_output()
 }
 
-fn torque() -> Drive {
+pub fn torque() -> Drive {
     Drive::Torque {
         full_scale: Effort((1000.0 * NEWTON) as i32),
         limit: Effort((800.0 * NEWTON) as i32),
     }
 }
 
-fn steps() -> Drive {
+pub fn steps() -> Drive {
     Drive::Steps {
         per_step: (MM / 320.0 * 16777216.0) as i64,
         ticks_per_us: 72,
@@ -51,7 +49,7 @@ fn steps() -> Drive {
     }
 }
 
-fn slide(drive: Drive, backlash_mm: f64) -> JointSettings {
+pub fn slide(drive: Drive, backlash_mm: f64) -> JointSettings {
     JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(0),
@@ -534,68 +532,4 @@ proptest! {
             }
         }
     }
-}
-
-/// The rotor of a step motor resonates about the position of its steps, by a count at 2.5 kHz: no
-/// stuck channel while the steps rest or creep. A count that reverses about one position while the
-/// steps move on is one.
-#[test]
-fn a_resonating_rotor_is_no_stuck_channel() {
-    let settings = slide(steps(), 0.0);
-    let encoder = settings.encoder.clone().expect("an encoder");
-    let count = (encoder.per_count >> 24) as i32;
-    let fault = |steps_per_period: f64| {
-        let mut monitor = JointMonitor::default();
-        (0..400).find_map(|period| {
-            let up = period % 2;
-            let measured = Coordinate((100 << 20) + up * count);
-            let travel = (steps_per_period * f64::from(period * count)) as i32;
-            let steps = Coordinate((100 << 20) + travel);
-            let sample = JointSample {
-                commanded: steps,
-                measured,
-                moved: 2 * up - 1,
-                step_error: steps.wrapping_sub(measured),
-                period_us: 200,
-                placed: true,
-                ..JointSample::default()
-            };
-            monitor.check_stuck_channel(1, &settings, &encoder, &sample)
-        })
-    };
-    assert_eq!(fault(0.0), None);
-    assert_eq!(fault(0.01), None);
-    assert_eq!(fault(0.2), Some(Fault::EncoderStuck { joint: 1 }));
-}
-
-/// A slide with an effort of -60 N against its new direction moves on by two counts while its loop
-/// reverses the effort, and then sticks at 80 N for 40 ms: friction, no dead encoder. If the same
-/// efforts give no count at all, the encoder is dead.
-#[test]
-fn a_slide_that_moves_on_after_a_reversal_has_a_live_encoder() {
-    let settings = slide(torque(), 0.0);
-    let encoder = settings.encoder.clone().expect("an encoder");
-    let count = (encoder.per_count >> 24) as i32;
-    let fault = |against: &[usize]| {
-        let mut monitor = JointMonitor::default();
-        let mut measured = 100 << 20;
-        (0..200).find_map(|period| {
-            let moved = -i32::from(against.contains(&period));
-            measured += moved * count;
-            let newtons = (-60.0 + 20.0 * period as f64).min(80.0);
-            let sample = JointSample {
-                commanded: Coordinate((100 << 20) + period as i32 * 10),
-                commanded_rate: Rate(100_000),
-                measured: Coordinate(measured),
-                moved,
-                effort: Effort((newtons * NEWTON) as i32),
-                period_us: 200,
-                placed: true,
-                ..JointSample::default()
-            };
-            monitor.check(1, &settings, &encoder, 0, &sample)
-        })
-    };
-    assert_eq!(fault(&[2, 6]), None);
-    assert_eq!(fault(&[]), Some(Fault::EncoderStuck { joint: 1 }));
 }

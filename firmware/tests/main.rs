@@ -14,6 +14,7 @@ mod integrity;
 mod joint;
 mod joint_encoder;
 mod joint_index;
+mod joint_monitor;
 mod joint_rates;
 mod joint_step_gen;
 mod kinematics_conformance;
