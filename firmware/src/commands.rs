@@ -216,8 +216,8 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
         Some(Fault::LimitSwitch { joint }) => {
             return Err(Refusal::Input(InputProblem::LimitSwitch { joint }));
         }
-        Some(Fault::Drive { joint }) => {
-            return Err(Refusal::Input(InputProblem::Drive { joint }));
+        Some(Fault::Drive { joint, alarm }) => {
+            return Err(Refusal::Input(InputProblem::Drive { joint, alarm }));
         }
         _ => {}
     }

@@ -237,7 +237,10 @@ fn name_hardware_fault(joints: &[JointInputs]) -> Option<Fault> {
             return Some(Fault::LimitSwitch { joint: index as u8 });
         }
         if !joint.drive_ready {
-            return Some(Fault::Drive { joint: index as u8 });
+            return Some(Fault::Drive {
+                joint: index as u8,
+                alarm: joint.alarm,
+            });
         }
     }
     None

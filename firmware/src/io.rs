@@ -14,6 +14,8 @@ pub const RECEIVE_BYTES: usize = 64;
 /// Largest number of bytes that a period transmits.
 pub const TRANSMIT_BYTES: usize = 64;
 
+pub use haptimill_protocol::message::{Alarms, DriveAlarm};
+
 /// Inputs of one joint, latched at the start of the period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointInputs {
@@ -42,6 +44,8 @@ pub struct JointInputs {
     /// The drive reports no alarm. The controller reads it before it switches the drive on, so the
     /// signal must not depend on the drive being on.
     pub drive_ready: bool,
+    /// Why the drive is not ready. It counts only where `drive_ready` is false.
+    pub alarm: DriveAlarm,
 }
 
 pub use haptimill_protocol::force::COMPONENTS;
@@ -126,6 +130,17 @@ pub struct Inputs {
     pub lost_bytes: u16,
     /// The receive interrupt recognised the out-of-band stop since the last period.
     pub out_of_band_stop: bool,
+}
+
+impl Inputs {
+    /// Drives that are not ready, and why.
+    #[must_use]
+    pub fn alarms(&self) -> Alarms {
+        let joints = self.joints.iter().enumerate();
+        joints.fold(Alarms::default(), |alarms, (joint, seen)| {
+            alarms.with(joint, (!seen.drive_ready).then_some(seen.alarm))
+        })
+    }
 }
 
 /// Pulses of one period on a step/direction drive, in ticks of the step clock.

@@ -463,7 +463,8 @@ impl Machine {
             for (input, joints) in lines.switches.iter_mut().enumerate() {
                 *joints |= (active >> input & 1) << joint;
             }
-            lines.alarms |= u8::from(!seen.drive_ready) << joint;
+            let alarm = (!seen.drive_ready).then_some(seen.alarm);
+            lines.alarms = lines.alarms.with(joint, alarm);
         }
         lines
     }

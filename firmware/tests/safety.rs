@@ -7,7 +7,7 @@ use haptimill_firmware::safety::{EVENTS, Safety, decelerates_first, keeps_positi
 use haptimill_kinematics::Pose;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{
-    Action, Event, Fault, HomingProblem, MAX_AXES, PoseError, Refusal, State,
+    Action, DriveAlarm, Event, Fault, HomingProblem, MAX_AXES, PoseError, Refusal, State,
 };
 use haptimill_protocol::setpoint::Setpoint;
 use proptest::prelude::*;
@@ -25,7 +25,10 @@ fn every_fault() -> [Fault; 17] {
         Fault::SoftLimit { coordinate: 0 },
         Fault::Pose(PoseError::Geometry { code: 2 }),
         Fault::LimitSwitch { joint: 0 },
-        Fault::Drive { joint: 0 },
+        Fault::Drive {
+            joint: 0,
+            alarm: DriveAlarm::Input,
+        },
         Fault::EncoderIllegal { joint: 0, count: 9 },
         Fault::CounterJump {
             joint: 0,
@@ -162,7 +165,10 @@ fn emergency_stop_overrides_all_faults() {
             (State::EmergencyStop, false)
         );
         safety.settle();
-        safety.raise(Fault::Drive { joint: 1 });
+        safety.raise(Fault::Drive {
+            joint: 1,
+            alarm: DriveAlarm::Silent,
+        });
         assert_eq!(safety.state(), State::EmergencyStop);
         assert!(safety.reset());
         assert_eq!((safety.state(), safety.fault()), (State::Disabled, None));

@@ -35,8 +35,8 @@ use crate::out_of_band;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, telemetry of six axes that wrap around,
-/// with force sensor, inputs and outputs, has 342.
-pub const MAX_PAYLOAD: usize = 344;
+/// with force sensor, inputs and outputs, has 346.
+pub const MAX_PAYLOAD: usize = 348;
 
 /// Largest header, payload and check, bytes.
 const MAX_CONTENT: usize = MAX_HEADER + MAX_PAYLOAD + CRC_BYTES;

@@ -8,6 +8,7 @@
 //! [`crate::link`].
 
 mod command;
+mod drive_alarm;
 mod event;
 mod override_mode;
 mod problem;
@@ -17,6 +18,7 @@ mod setpoints;
 mod state;
 
 pub use command::{Command, ConfigChunk, Request, Source};
+pub use drive_alarm::{Alarms, DriveAlarm};
 pub use event::Event;
 pub use override_mode::OverrideMode;
 pub use problem::{
@@ -34,7 +36,7 @@ use heapless::Vec;
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.
-pub const PROTOCOL_VERSION: u16 = 7;
+pub const PROTOCOL_VERSION: u16 = 8;
 
 /// Speed factor in reports at the programmed speed.
 pub const FULL_SPEED_FACTOR: u16 = 1 << 15;

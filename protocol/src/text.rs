@@ -22,6 +22,7 @@
 //! );
 //! ```
 
+mod drive_alarm;
 mod force;
 mod haptic;
 mod plain;
@@ -102,6 +103,8 @@ pub struct AxesText<'a> {
     pub joints: &'a [AxisText<'a>],
     /// Sentences of the pose errors of the geometry, by their codes.
     pub pose_errors: &'a [&'a str],
+    /// Addresses of the driver chips of the joints; `None` for a joint without one.
+    pub chips: &'a [Option<u8>],
     /// Names of the digital inputs.
     pub inputs: &'a [&'a str],
     /// Names of the digital outputs.

@@ -4,7 +4,9 @@
 use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
-use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};
+use haptimill_protocol::message::{
+    Command, DriveAlarm, Event, Fault, InputProblem, Refusal, State,
+};
 use haptimill_tests::Bench;
 use setup::joint_fault::{
     assert_position_kept, home_with_suspected_encoder, joint_fault, run_with_joint_fault,
@@ -96,7 +98,10 @@ fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
                 drive_tripped: true,
                 ..well
             },
-            Fault::Drive { joint: 3 },
+            Fault::Drive {
+                joint: 3,
+                alarm: DriveAlarm::Input,
+            },
         ),
         (stuck(1), Fault::LimitSwitch { joint: 3 }),
         (stuck(2), Fault::LimitSwitch { joint: 3 }),
@@ -105,7 +110,7 @@ fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
         assert_eq!((struck.fault, struck.periods), (fault, 0));
         struck.bench.ask(Command::Reset).expect("reset");
         let problem = match fault {
-            Fault::Drive { joint } => InputProblem::Drive { joint },
+            Fault::Drive { joint, alarm } => InputProblem::Drive { joint, alarm },
             _ => InputProblem::LimitSwitch { joint: 3 },
         };
         let refusal = Refusal::Input(problem);
@@ -381,7 +386,7 @@ fn a_stalled_step_motor_or_wrong_encoder_stops_the_whole_path() {
                     | Fault::EncoderReversed { joint: 1 }
                     | Fault::FollowingError { joint: 1, .. },
                 ) => false,
-                Some(Fault::Drive { joint: 1 }) => true,
+                Some(Fault::Drive { joint: 1, .. }) => true,
                 other => panic!("{name}: {other:?}"),
             };
             assert_eq!(bench.rig.control().safety().homed(), kept);

@@ -6,7 +6,9 @@ use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault as Injected;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Command, Event, Fault, HomingProblem, Refusal, State};
+use haptimill_protocol::message::{
+    Command, DriveAlarm, Event, Fault, HomingProblem, Refusal, State,
+};
 use haptimill_tests::Bench;
 use setup::{MM, drives_off, line, state};
 
@@ -375,7 +377,13 @@ fn both_motors_stop_together() {
         bench.rig.plant_mut().set_condition(motor, condition);
         bench.steps(2000);
         let joint = motor as u8;
-        assert_eq!(bench.status().fault, Some(Fault::Drive { joint }));
+        assert_eq!(
+            bench.status().fault,
+            Some(Fault::Drive {
+                joint,
+                alarm: DriveAlarm::Input
+            })
+        );
         assert!(racking(&bench).abs() < LARGEST);
         condition.drive_tripped = false;
         bench.rig.plant_mut().set_condition(motor, condition);

@@ -5,7 +5,7 @@ use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
+use haptimill_protocol::message::{Command, DriveAlarm, Event, Fault, Refusal, State};
 use haptimill_tests::Bench;
 use setup::{MM, drives_off, line, state};
 
@@ -165,7 +165,13 @@ fn the_position_is_lost_with_the_drives() {
     condition.drive_tripped = true;
     bench.rig.plant_mut().set_condition(1, condition);
     bench.steps(50);
-    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 1 }));
+    assert_eq!(
+        bench.status().fault,
+        Some(Fault::Drive {
+            joint: 1,
+            alarm: DriveAlarm::Input
+        })
+    );
     assert_lost(&mut bench);
 
     // By the emergency stop, as a command and as a circuit that takes the power in motion.
@@ -215,6 +221,12 @@ fn a_drive_that_holds_its_rotor_keeps_the_position() {
     condition.drive_tripped = true;
     bench.rig.plant_mut().set_condition(1, condition);
     bench.steps(50);
-    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 1 }));
+    assert_eq!(
+        bench.status().fault,
+        Some(Fault::Drive {
+            joint: 1,
+            alarm: DriveAlarm::Input
+        })
+    );
     assert_lost(&mut bench);
 }

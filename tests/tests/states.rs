@@ -4,7 +4,7 @@ use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, InputProblem, Refusal, Source, State,
+    AxisValues, Command, DriveAlarm, Event, Fault, InputProblem, Refusal, Source, State,
 };
 use haptimill_tests::Bench;
 use setup::{commanded, drives_off, jog, line, moving, ready, state, step_smoothly};
@@ -223,7 +223,13 @@ fn missed_periods_in_a_hold_are_reported() {
     );
     bench.steps(2);
     assert!(drives_off(&bench));
-    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 2 }));
+    assert_eq!(
+        bench.status().fault,
+        Some(Fault::Drive {
+            joint: 2,
+            alarm: DriveAlarm::Input
+        })
+    );
 }
 
 #[test]

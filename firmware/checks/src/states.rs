@@ -12,8 +12,8 @@ use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{
-    Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Fault, Refusal, Report, Request,
-    SETPOINT_BATCH, SetpointBatch, State, Telemetry,
+    Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, DriveAlarm, Event, Fault, Refusal,
+    Report, Request, SETPOINT_BATCH, SetpointBatch, State, Telemetry,
 };
 use haptimill_protocol::out_of_band::STOP;
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
@@ -388,12 +388,16 @@ fn trip() {
     bed.start_job(2);
     bed.steps(1500);
     bed.inputs.joints[2].drive_ready = false;
+    bed.inputs.joints[2].alarm = DriveAlarm::Silent;
     bed.step();
     assert_eq!(bed.state(), State::Fault);
     assert!(bed.drives_off());
     assert_eq!(
         bed.controller.safety().fault(),
-        Some(Fault::Drive { joint: 2 })
+        Some(Fault::Drive {
+            joint: 2,
+            alarm: DriveAlarm::Silent
+        })
     );
     assert!(bed.ask(Command::Enable).is_err());
     bed.inputs.joints[2].drive_ready = true;

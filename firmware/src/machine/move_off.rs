@@ -103,7 +103,8 @@ impl Machine {
         for (other, (slot, (settings, seen))) in ignored.iter_mut().zip(joints).enumerate() {
             if !seen.drive_ready {
                 let joint = other as u8;
-                return Err(Refusal::Input(InputProblem::Drive { joint }));
+                let alarm = seen.alarm;
+                return Err(Refusal::Input(InputProblem::Drive { joint, alarm }));
             }
             *slot = settings.active_switches(seen) & LIMITS;
         }

@@ -245,7 +245,10 @@ impl Machine {
                 return Some(Fault::LimitSwitch { joint: index as u8 });
             }
             if !inputs.drive_ready {
-                return Some(Fault::Drive { joint: index as u8 });
+                return Some(Fault::Drive {
+                    joint: index as u8,
+                    alarm: inputs.alarm,
+                });
             }
         }
         None

@@ -7,7 +7,7 @@ use crate::io::{
     StepSegment,
 };
 use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot, Snapshot};
-use haptimill_protocol::message::State;
+use haptimill_protocol::message::{DriveAlarm, State};
 
 #[inline(always)]
 pub(super) fn put_analog(words: &mut Writer<'_>, codes: [i16; ANALOG]) {
@@ -101,7 +101,10 @@ pub(super) fn put_joint(words: &mut Writer<'_>, joint: &JointInputs) {
         joint.edge_time_ns,
         joint.index_counts as u32,
         joint.steps as u32,
-        u32::from(joint.illegal) | u32::from(joint.index_pulses) << 16 | bits << 24,
+        u32::from(joint.illegal)
+            | u32::from(joint.index_pulses) << 16
+            | bits << 24
+            | u32::from(joint.alarm.code() - 1) << 28,
     ]);
 }
 
@@ -120,6 +123,7 @@ pub(super) fn take_joint(words: &mut Reader<'_>) -> JointInputs {
         limit_low: bit(1),
         limit_high: bit(2),
         drive_ready: bit(3),
+        alarm: DriveAlarm::of_code((rest >> 28) as u8 + 1).unwrap_or_default(),
     }
 }
 

@@ -3,7 +3,7 @@ use crate::io::{
     DriveCommand, ForceSample, HapticInputs, HapticOutputs, JointInputs, LegInputs, StepSegment,
 };
 use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot};
-use haptimill_protocol::message::{MAX_AXES, State};
+use haptimill_protocol::message::{DriveAlarm, MAX_AXES, State};
 use proptest::prelude::*;
 
 fn config() -> ProptestConfig {
@@ -18,8 +18,9 @@ prop_compose! {
     fn joint()(
         counts: i32, edge_time_ns: u32, illegal: u16, index_counts: i32, index_pulses: u8, steps: i32,
         (home, limit_low, limit_high, drive_ready) in any::<(bool, bool, bool, bool)>(),
+        alarm in prop::sample::select(DriveAlarm::ALL.to_vec()),
     ) -> JointInputs {
-        JointInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, home, limit_low, limit_high, drive_ready }
+        JointInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, home, limit_low, limit_high, drive_ready, alarm }
     }
 }
 

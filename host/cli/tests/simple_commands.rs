@@ -253,6 +253,9 @@ fn status_names_the_active_switches_alarms_and_emergency_stop() {
     assert_eq!(lines, "lines      active: y home and limit-high, z alarm");
     let expected = serde_json::json!({ "y": ["home", "limit-high"], "z": ["alarm"] });
     assert_eq!(json["active_lines"], expected);
+    let why = "the drive of z is not ready: its alarm input is active; check the drive and its \
+               alarm line";
+    assert_eq!(json["alarms"], serde_json::json!([why]));
     let (lines, json) = status(&serve(&["emergency-stop"]));
     assert!(lines.ends_with(", emergency stop"), "{lines}");
     assert_eq!(json["emergency_stop_open"], true);

@@ -10,7 +10,7 @@ use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc2209::GSTAT;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Command, Fault, State};
+use haptimill_protocol::message::{Alarms, Command, DriveAlarm, Fault, State};
 use std::sync::Arc;
 
 /// Registers of the pins GP0 and GP1 (RP2350 datasheet, 9.11): function, and the outputs of UART0.
@@ -47,6 +47,16 @@ fn steps(session: &mut Session<Pico2>, periods: usize) {
     }
 }
 
+/// The alarms that the board reports.
+fn alarms(session: &mut Session<Pico2>) -> Alarms {
+    session.status().expect("an answer").lines().alarms
+}
+
+/// The alarm of one joint.
+fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
+    Alarms::default().with(joint, Some(alarm))
+}
+
 /// The chips have the settings of the machine file: currents up to the wanted ones, less than a
 /// step of the range of 325 mV and 0.13 ohm, 55 mA, below it.
 fn assert_set(board: &mut Pico2) {
@@ -80,16 +90,15 @@ fn the_image_configures_the_chips_of_a_machine_file() {
         .expect("the board accepts the file");
     session.set_machine(&machine);
     // The chips still have the currents of the factory.
-    let (joint, alarms) = (0, session.status().expect("an answer").lines().alarms);
-    assert_eq!(alarms, 0b111, "no drive is ready");
-    assert_eq!(session.line_mut().drive_chip(joint).currents(0.11), None);
-    let refused = session.ask(Command::Enable).expect_err("too early");
-    assert!(
-        refused.message.contains("the drive of x is not ready")
-            && refused.message.contains("its TMC2209 with address 2"),
-        "{refused:?}"
-    );
-    session.enable().expect("the drives are ready");
+    let alarms = session.status().expect("an answer").lines().alarms;
+    for joint in 0..3 {
+        assert_eq!(alarms.of(joint), Some(DriveAlarm::Setting));
+        assert_eq!(session.line_mut().drive_chip(joint).currents(0.11), None);
+    }
+    // The first request comes too early, and is repeated.
+    session
+        .ask(Command::Enable)
+        .expect("the drives are ready in time");
     let board = session.line_mut();
     assert!(board.is_enabled());
     assert_set(board);
@@ -134,11 +143,12 @@ fn a_silent_chip_keeps_the_drives_off_and_names_its_joint() {
     let mut session = session(board, &machine);
     let refused = session.enable().expect_err("a chip is silent");
     assert!(
-        refused.message.contains("the drive of y is not ready")
-            && refused.message.contains("TMC2209 with address 0"),
+        refused
+            .message
+            .contains("the drive of y is not ready: its driver chip (address 0) does not answer"),
         "{refused:?}"
     );
-    assert_eq!(session.status().expect("an answer").lines().alarms, 0b010);
+    assert_eq!(alarms(&mut session), only(1, DriveAlarm::Silent));
     let board = session.line_mut();
     assert!(!board.is_enabled());
     assert!(board.lines.enable.changes.is_empty(), "it never rose");
@@ -181,13 +191,19 @@ fn an_overheated_chip_in_motion_ends_safe() {
     let status = session.status().expect("the board answers");
     assert_eq!(session.line_mut().steps, before, "no pulse");
     assert_eq!(status.state, State::Fault);
-    assert_eq!(status.fault, Some(Fault::Drive { joint: joint as u8 }));
-    assert!(!session.line_mut().is_enabled());
-    assert_eq!(
-        session.status().expect("an answer").lines().alarms,
-        1 << joint,
-        "it is still hot"
+    let alarm = DriveAlarm::Overheated;
+    let fault = Fault::Drive {
+        joint: joint as u8,
+        alarm,
+    };
+    assert_eq!(status.fault, Some(fault));
+    let said = session.fault(&fault).message;
+    assert!(
+        said.contains("is too hot and switched the motor off"),
+        "{said}"
     );
+    assert!(!session.line_mut().is_enabled());
+    assert_eq!(alarms(&mut session), only(joint, alarm), "it is still hot");
     session.line_mut().drive_chip(joint).set_temperature(60.0);
     session.ask(Command::Reset).expect("the fault is reset");
     session.enable().expect("the drives are ready");
@@ -210,7 +226,8 @@ fn a_chip_that_was_reset_is_a_fault_of_its_joint() {
     // 60 ms.
     steps(&mut session, 300);
     let status = session.status().expect("the board answers");
-    assert_eq!(status.fault, Some(Fault::Drive { joint: 2 }));
+    let alarm = DriveAlarm::Reset;
+    assert_eq!(status.fault, Some(Fault::Drive { joint: 2, alarm }));
     assert!(!session.line_mut().is_enabled());
     assert_set(session.line_mut());
 }
@@ -225,7 +242,9 @@ fn the_image_for_the_uart_refuses_joints_with_chips() {
     session.configure(&machine).expect("it takes the file");
     let refused = session.enable().expect_err("no bus");
     assert!(
-        refused.message.contains("the drive of x is not ready"),
+        refused
+            .message
+            .contains("the drive of x is not ready: its driver chip (address 2) has no bus"),
         "{refused:?}"
     );
     let board = session.line_mut();

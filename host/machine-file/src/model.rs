@@ -32,6 +32,8 @@ pub struct Model {
     pose_scale: Vec<f64>,
     joint_scale: Vec<f64>,
     io: IoNames,
+    /// Addresses of the driver chips, by joint.
+    chips: Vec<Option<u8>>,
 }
 
 /// Rounds to the nearest whole number, half away from 0, as `f64::round` does without a call.
@@ -63,6 +65,8 @@ impl Model {
     /// Creates the model of a machine file.
     #[must_use]
     pub fn new(machine: &MachineFile) -> Self {
+        let joints = machine.config.joints.iter();
+        let chips = joints.map(|joint| joint.tmc2209().map(|chip| chip.address));
         Self {
             machine: machine.config.kinematics(),
             wrapping: machine.config.wrapping(),
@@ -79,6 +83,7 @@ impl Model {
             pose_scale: machine.pose.iter().map(|it| per_unit(it.kind)).collect(),
             joint_scale: machine.joints.iter().map(|it| per_unit(it.kind)).collect(),
             io: machine.io.clone(),
+            chips: chips.collect(),
         }
     }
 
@@ -95,6 +100,7 @@ impl Model {
         self.pose_scale.clear();
         self.joint_scale.clear();
         self.io = IoNames::default();
+        self.chips.clear();
     }
 
     /// Axis units of a coordinate in millimetres or degrees, rounded; within half a turn of 0 if it
@@ -204,6 +210,7 @@ impl Model {
             pose_errors: &pose_errors,
             pose: &pose,
             joints: &joints,
+            chips: &self.chips,
             inputs: &inputs,
             outputs: &outputs,
             analog_outputs: &analog_outputs,

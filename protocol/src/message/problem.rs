@@ -1,6 +1,6 @@
 //! Problems of a pose, a request, a configuration or the machine.
 
-use super::State;
+use super::{DriveAlarm, State};
 use crate::force::{ForceProblem, ForceRefusal};
 use crate::haptic::MasterProblem;
 use postcard_schema::Schema;
@@ -177,6 +177,8 @@ pub enum InputProblem {
     Drive {
         /// The joint.
         joint: u8,
+        /// The reason.
+        alarm: DriveAlarm,
     },
     /// The drives were switched off and the machine still coasts.
     Coasting,
@@ -290,6 +292,8 @@ pub enum Fault {
     Drive {
         /// The joint.
         joint: u8,
+        /// The reason.
+        alarm: DriveAlarm,
     },
     /// An encoder made illegal transitions.
     EncoderIllegal {

@@ -1,6 +1,6 @@
 //! Reports of the controller, and its telemetry.
 
-use super::{ANALOG, AxisValues, Event, Fault, Refusal, State};
+use super::{ANALOG, Alarms, AxisValues, Event, Fault, Refusal, State};
 use crate::force::ForceTelemetry;
 use crate::haptic::MasterTelemetry;
 use heapless::Vec;
@@ -123,8 +123,8 @@ impl MoreTelemetry {
 pub struct ActiveLines {
     /// Home switches, lower and upper limit switches.
     pub switches: [u8; 3],
-    /// Drives that report an alarm.
-    pub alarms: u8,
+    /// Drives that report an alarm, and why.
+    pub alarms: Alarms,
     /// The emergency stop circuit is open.
     pub emergency_stop: bool,
 }

@@ -1,5 +1,6 @@
 //! Sentences of refused poses, commands and configurations.
 
+use super::drive_alarm::Explained;
 use super::{Amount, AxesText, AxisKind, Describe, amount};
 use crate::message::{ConfigField, ConfigProblem, Fault, InputProblem, PoseError, Refusal, State};
 use core::fmt::{Formatter, Result};
@@ -203,12 +204,10 @@ impl Describe for InputProblem {
                  check their wiring and active levels, or move the joint by hand",
                 named(joint)
             ),
-            Self::Drive { joint } => write!(
-                f,
-                "the drive of {} is not ready; check the drive, and that the board can drive this \
-                 joint (kind of drive, step clock, encoder)",
-                named(joint)
-            ),
+            Self::Drive { joint, alarm } => {
+                let why = Explained { joint, alarm, axes };
+                write!(f, "the drive of {} is not ready: {why}", named(joint))
+            }
             Self::Coasting => f.write_str("the machine still coasts; wait for its standstill"),
             Self::Settling => f.write_str(
                 "the step motors have not locked yet; wait until the drives are enabled",

@@ -1,5 +1,6 @@
 //! Sentences of faults and events.
 
+use super::drive_alarm::Explained;
 use super::refusal::write_joint_rate;
 use super::{AxesText, Describe, amount};
 use crate::message::{Event, Fault, HomingProblem, State};
@@ -72,11 +73,14 @@ impl Describe for Fault {
                     named(joint)
                 )
             }
-            Self::Drive { joint } => write!(
-                f,
-                "the drive of {} reports a fault; check the drive, then reset",
-                named(joint)
-            ),
+            Self::Drive { joint, alarm } => {
+                let why = Explained { joint, alarm, axes };
+                write!(
+                    f,
+                    "the drive of {} reports a fault: {why}; then reset",
+                    named(joint)
+                )
+            }
             Self::EncoderIllegal { joint, count } => write!(
                 f,
                 "the encoder of {} made {count} illegal transitions; check its cable and shield, {PRESET}",

@@ -77,7 +77,7 @@ fn the_log_reports_states_and_faults_and_changes_no_output() {
         "info  Idle -> Homing",
         "info  Homing -> Idle",
         "info  Idle -> Run",
-        "error fault latched: Drive { joint: 1 }",
+        "error fault latched: Drive { joint: 1, alarm: Input }",
     ];
     let mut rest = texts.iter();
     for text in expected {

@@ -12,10 +12,10 @@
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicU32, Ordering};
 use embedded_hal_nb::serial::{Read, Write};
-use haptimill_drivers::tmc2209::{Bus, Currents, Settings, turn};
+use haptimill_drivers::tmc2209::{Bus, Currents, Error, Settings, Trouble, turn};
 use haptimill_firmware::config::{JointSettings, Tmc2209};
 use haptimill_firmware::machine::Machine;
-use haptimill_protocol::message::MAX_AXES;
+use haptimill_protocol::message::{Alarms, DriveAlarm, MAX_AXES};
 use heapless::spsc::{Consumer, Producer, Queue};
 
 /// Time between two rounds in which the state of all chips is read, us.
@@ -24,9 +24,8 @@ pub const INTERVAL_US: u32 = 20_000;
 /// Attempts to read the state of a chip until it counts as silent. Noise on the wire costs one.
 pub const ATTEMPTS: usize = 3;
 
-/// Bits of the joints in the state; those above number the configuration.
-const JOINT_BITS: u32 = 8;
-const JOINT_MASK: u32 = (1 << JOINT_BITS) - 1;
+/// Bits of the alarms in the state; those above number the configuration.
+const ALARM_BITS: u32 = 4 * MAX_AXES as u32;
 
 /// The chips of a configuration, for the main loop to set.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +39,7 @@ struct Request {
 #[derive(Debug, Default)]
 pub struct Chips {
     requests: Queue<Request, 2>,
-    /// Number of the configuration, and joints that are not ready, one bit each.
+    /// Number of the configuration, and the alarms of the joints.
     state: AtomicU32,
 }
 
@@ -106,16 +105,20 @@ impl Follower<'_> {
     #[cold]
     #[inline(never)]
     fn pass_on(&mut self, joints: &[JointSettings], crc: u32) {
+        let reason = match self.requests {
+            Some(_) => DriveAlarm::Setting,
+            None => DriveAlarm::NoBus,
+        };
         let mut chips = [None; MAX_AXES];
-        let mut waiting = 0;
+        let mut waiting = Alarms::default();
         for (joint, (chip, axis)) in chips.iter_mut().zip(joints).enumerate() {
             *chip = axis.tmc2209().copied();
-            waiting |= u32::from(chip.is_some()) << joint;
+            waiting = waiting.with(joint, chip.is_some().then_some(reason));
         }
-        let number = (self.state.load(Ordering::Relaxed) >> JOINT_BITS).wrapping_add(1);
-        let state = number << JOINT_BITS | waiting;
+        let number = (self.state.load(Ordering::Relaxed) >> ALARM_BITS).wrapping_add(1);
+        let state = number << ALARM_BITS | waiting.bits();
         self.state.store(state, Ordering::Release);
-        let number = state >> JOINT_BITS;
+        let number = state >> ALARM_BITS;
         // Without room the main loop has not taken the configuration before: the next control
         // period tries it again.
         let is_passed = self
@@ -127,11 +130,11 @@ impl Follower<'_> {
         }
     }
 
-    /// Joints that are not ready, one bit each.
+    /// Joints that are not ready, and why.
     #[inline]
     #[must_use]
-    pub fn not_ready(&self) -> u8 {
-        (self.state.load(Ordering::Acquire) & JOINT_MASK) as u8
+    pub fn alarms(&self) -> Alarms {
+        Alarms::of_bits(self.state.load(Ordering::Acquire))
     }
 }
 
@@ -218,10 +221,11 @@ impl Keeper<'_> {
             let Ok(settings) = Settings::new(currents, chip.microsteps) else {
                 continue;
             };
-            if bus.configure(chip.address, &settings).await.is_ok() {
+            let result = bus.configure(chip.address, &settings).await;
+            if result.is_ok() {
                 self.unset &= !(1 << joint);
-                self.set_ready(joint, true);
             }
+            self.report(joint, result.err().map(alarm));
         }
     }
 
@@ -235,30 +239,55 @@ impl Keeper<'_> {
             if self.is_unset(joint) || self.requests.ready() {
                 continue;
             }
-            let mut answer = Err(());
+            let mut found = None;
             for _ in 0..ATTEMPTS {
-                answer = bus.trouble(chip.address).await.map_err(|_| ());
-                if answer.is_ok() {
-                    break;
+                match bus.trouble(chip.address).await {
+                    Ok(trouble) => {
+                        found = trouble.map(of_trouble);
+                        break;
+                    }
+                    Err(error) => found = Some(alarm(error)),
                 }
             }
-            if answer != Ok(None) {
+            if found.is_some() {
                 self.unset |= 1 << joint;
-                self.set_ready(joint, false);
+                self.report(joint, found);
             }
         }
     }
 
-    /// Sets whether a joint is ready, unless there is a newer configuration.
-    fn set_ready(&self, joint: usize, is_ready: bool) {
+    /// Sets why a joint is not ready, or that it is, unless there is a newer configuration.
+    fn report(&self, joint: usize, alarm: Option<DriveAlarm>) {
         let change = |state: u32| {
-            let bit = 1 << joint;
-            let own = state >> JOINT_BITS == self.number;
-            own.then_some(if is_ready { state & !bit } else { state | bit })
+            let alarms = Alarms::of_bits(state).with(joint, alarm);
+            let own = state >> ALARM_BITS == self.number;
+            own.then_some(self.number << ALARM_BITS | alarms.bits())
         };
         // A newer configuration has made all its joints with a chip not ready.
         let _ = self
             .state
             .fetch_update(Ordering::AcqRel, Ordering::Acquire, change);
+    }
+}
+
+/// Why a chip that failed a command is not ready.
+fn alarm<E>(error: Error<E>) -> DriveAlarm {
+    match error {
+        Error::NoReply => DriveAlarm::Silent,
+        Error::Serial(_) | Error::Echo | Error::Noise | Error::Check | Error::WrongReply => {
+            DriveAlarm::Disturbed
+        }
+        Error::NotTaken | Error::ReadBack { .. } | Error::Version(_) => DriveAlarm::NotSet,
+        Error::Trouble(trouble) => of_trouble(trouble),
+    }
+}
+
+const fn of_trouble(trouble: Trouble) -> DriveAlarm {
+    match trouble {
+        Trouble::Reset => DriveAlarm::Reset,
+        Trouble::Overheated => DriveAlarm::Overheated,
+        Trouble::Shorted => DriveAlarm::Shorted,
+        Trouble::SwitchedOff => DriveAlarm::SwitchedOff,
+        Trouble::Undervoltage => DriveAlarm::Undervoltage,
     }
 }

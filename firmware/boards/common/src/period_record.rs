@@ -19,13 +19,14 @@
 //! | 60 | changes of inputs that the noise filter suppressed |
 //! | 61 | cycles from the start of the period to the end of this record, all handlers included |
 //! | 62 | cycles from the start of the period to the first work of its handler, or 0 |
+//! | 63 | why drives are not ready, four bits per joint |
 //!
 //! The limit switches are not in it.
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 
 /// Words of the record.
-pub const WORDS: usize = 63;
+pub const WORDS: usize = 64;
 /// Joints in it.
 pub const JOINTS: usize = 5;
 
@@ -40,7 +41,10 @@ pub const BUSY: usize = 61;
 /// Word of the cycles until the handler works.
 pub const LATE: usize = 62;
 
-/// Writes the words 1 to 47; `cause` is that of the last reset.
+/// Word of the alarms of the drives.
+pub const ALARMS: usize = 63;
+
+/// Writes the words 1 to 47 and [`ALARMS`]; `cause` is that of the last reset.
 pub fn write(words: &mut [u32; WORDS], inputs: &Inputs, outputs: &Outputs, cause: u8) {
     let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
     words[1] = pair(inputs.missed, inputs.transmit_room);
@@ -63,6 +67,7 @@ pub fn write(words: &mut [u32; WORDS], inputs: &Inputs, outputs: &Outputs, cause
         four[..bytes.len()].copy_from_slice(bytes);
         *word = u32::from_le_bytes(four);
     }
+    words[ALARMS] = inputs.alarms().bits();
     words[27] = 0;
     for joint in 0..JOINTS {
         words[22 + joint] = inputs.joints[joint].steps as u32;

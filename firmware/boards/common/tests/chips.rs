@@ -5,7 +5,7 @@ use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use haptimill_board_common::chips::{ATTEMPTS, Chips, Follower, INTERVAL_US};
 use haptimill_drivers::tmc2209::Bus;
 use haptimill_firmware::config::{Config, Drive, Tmc2209};
-use haptimill_firmware::io::Inputs;
+use haptimill_firmware::io::{Alarms, DriveAlarm, Inputs};
 use haptimill_firmware::machine::Machine;
 use haptimill_hil_sim::tmc2209::{CHOPCONF, Chip, GCONF, GSTAT, Wire};
 use haptimill_machine_file::MachineFile;
@@ -114,6 +114,12 @@ fn machine(chips: [Option<Tmc2209>; 3], crc: u32) -> Machine {
     Machine::new(config, crc, &Inputs::default()).expect("a sound machine")
 }
 
+fn alarms(of: &[(usize, DriveAlarm)]) -> Alarms {
+    let none = Alarms::default();
+    of.iter()
+        .fold(none, |all, (joint, alarm)| all.with(*joint, Some(*alarm)))
+}
+
 /// A board: its control periods and its main loop.
 struct Board<'a> {
     world: Rc<RefCell<World>>,
@@ -128,7 +134,7 @@ impl Board<'_> {
     fn run(&mut self, us: u64, on: bool) {
         let end = self.world.borrow().now + us * 1000;
         while self.world.borrow().now < end {
-            let on = on && self.follower.not_ready() == 0;
+            let on = on && self.follower.alarms().joints() == 0;
             self.are_off.set(!on);
             self.world.borrow_mut().advance();
             for chip in &mut self.world.borrow_mut().wire.chips {
@@ -182,10 +188,13 @@ fn chips_get_their_settings_before_the_joints_are_ready() {
         assert_eq!(board.world.borrow().wire.sent, 0, "no machine is known");
         let machine = machine(two_chips(), 7);
         board.follower.follow(Some(&machine));
-        assert_eq!(board.follower.not_ready(), 0b101);
+        assert_eq!(
+            board.follower.alarms(),
+            alarms(&[(0, DriveAlarm::Setting), (2, DriveAlarm::Setting)])
+        );
         // Long before the enable line may go on: 56 exchanges of some 2 ms.
         board.run(120_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         for (place, microsteps) in [(0, 64), (1, 16)] {
             board.chip(place, |chip| {
                 assert_eq!(chip.microsteps(), microsteps);
@@ -202,7 +211,7 @@ fn chips_get_their_settings_before_the_joints_are_ready() {
         // Nothing changes as long as the chips are sound, and they are asked again and again.
         let sent = board.world.borrow().wire.sent;
         board.run(1_000_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         let asked = board.world.borrow().wire.sent - sent;
         // Two chips, two requests of four bytes.
         let rounds = asked / 16;
@@ -220,16 +229,27 @@ fn a_silent_chip_and_one_that_keeps_a_register_name_their_joints() {
         chips[1] = Some(chip(1, 8));
         board.follower.follow(Some(&machine(chips, 7)));
         board.run(1_000_000, true);
-        assert_eq!(board.follower.not_ready(), 0b111);
+        assert_eq!(
+            board.follower.alarms(),
+            alarms(&[
+                (0, DriveAlarm::NotSet),
+                (1, DriveAlarm::Silent),
+                (2, DriveAlarm::Silent)
+            ])
+        );
         assert!(board.are_off.get());
         // The chip gets its supply, the other one loses its fault: both are configured.
         board.chip(0, |chip| chip.set_powered(true));
         board.chip(1, |chip| chip.set_stuck(None));
         board.run(300_000, true);
-        assert_eq!(board.follower.not_ready(), 0b010, "no chip has address 1");
+        assert_eq!(
+            board.follower.alarms().joints(),
+            0b010,
+            "no chip has address 1"
+        );
         board.chip(1, |chip| chip.set_stuck(Some(GCONF)));
         board.run(300_000, true);
-        assert_eq!(board.follower.not_ready(), 0b010, "it is configured");
+        assert_eq!(board.follower.alarms().joints(), 0b010, "it is configured");
     });
 }
 
@@ -245,22 +265,25 @@ fn trouble_of_a_running_chip_switches_off_until_it_is_sound_again() {
         // Above its limit the chip switches its motor off.
         board.chip(1, |chip| chip.set_temperature(150.0));
         board.run(SEEN_US, true);
-        assert_eq!(board.follower.not_ready(), 0b001);
+        assert_eq!(
+            board.follower.alarms(),
+            alarms(&[(0, DriveAlarm::Overheated)])
+        );
         assert!(board.are_off.get());
         board.run(300_000, true);
-        assert_eq!(board.follower.not_ready(), 0b001, "it is still hot");
+        assert_eq!(board.follower.alarms().joints(), 0b001, "it is still hot");
         board.chip(1, |chip| chip.set_temperature(130.0));
         board.run(300_000, true);
-        assert_eq!(board.follower.not_ready(), 0b001, "it must cool down");
+        assert_eq!(board.follower.alarms().joints(), 0b001, "it must cool down");
         board.chip(1, |chip| chip.set_temperature(100.0));
         board.run(300_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         board.chip(0, |chip| chip.set_shorted(true));
         board.run(SEEN_US, true);
-        assert_eq!(board.follower.not_ready(), 0b100);
+        assert_eq!(board.follower.alarms(), alarms(&[(2, DriveAlarm::Shorted)]));
         board.chip(0, |chip| chip.set_shorted(false));
         board.run(200_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         // A moment without the supply of the motors: the chip answers, with the currents of the
         // factory.
         board.chip(0, |chip| {
@@ -269,9 +292,9 @@ fn trouble_of_a_running_chip_switches_off_until_it_is_sound_again() {
             assert_eq!(chip.currents(0.11), None);
         });
         board.run(SEEN_US, true);
-        assert_eq!(board.follower.not_ready(), 0b100);
+        assert_eq!(board.follower.alarms(), alarms(&[(2, DriveAlarm::Reset)]));
         board.run(200_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         assert_eq!(board.chip(0, |chip| chip.microsteps()), 64);
         // A chip that is silent is asked again before it counts.
         board.chip(1, |chip| chip.set_powered(false));
@@ -279,7 +302,7 @@ fn trouble_of_a_running_chip_switches_off_until_it_is_sound_again() {
             u64::from(INTERVAL_US) + ATTEMPTS as u64 * SILENCE_US + 10_000,
             true,
         );
-        assert_eq!(board.follower.not_ready(), 0b001);
+        assert_eq!(board.follower.alarms(), alarms(&[(0, DriveAlarm::Silent)]));
     });
 }
 
@@ -292,7 +315,7 @@ fn noise_on_the_wire_costs_attempts_and_no_alarm() {
             // Bytes of one exchange.
             board.world.borrow_mut().noise = 12;
             board.run(100_000, true);
-            assert_eq!(board.follower.not_ready(), 0);
+            assert_eq!(board.follower.alarms().joints(), 0);
         }
     });
 }
@@ -306,24 +329,24 @@ fn a_new_configuration_replaces_the_chips() {
         board.run(12_000, false);
         let second = machine([None, Some(chip(3, 8)), None], 8);
         board.follower.follow(Some(&second));
-        assert_eq!(board.follower.not_ready(), 0b010);
+        assert_eq!(board.follower.alarms().joints(), 0b010);
         board.run(200_000, true);
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         assert_eq!(board.chip(2, |chip| chip.microsteps()), 8);
         board.follower.follow(Some(&second));
-        assert_eq!(board.follower.not_ready(), 0, "it is the same one");
+        assert_eq!(board.follower.alarms().joints(), 0, "it is the same one");
         board.follower.follow(Some(&machine(THREE, 9)));
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
         // Two configurations before the main loop takes one.
         board.follower.follow(Some(&first));
         board.follower.follow(Some(&second));
-        assert_eq!(board.follower.not_ready(), 0b010);
+        assert_eq!(board.follower.alarms().joints(), 0b010);
         // Each control period tries to pass it on.
         for _ in 0..1000 {
             board.run(200, true);
             board.follower.follow(Some(&second));
         }
-        assert_eq!(board.follower.not_ready(), 0);
+        assert_eq!(board.follower.alarms().joints(), 0);
     });
 }
 
@@ -332,9 +355,12 @@ fn without_a_bus_a_joint_with_a_chip_is_never_ready() {
     let mut shared = Chips::new();
     let mut follower = shared.without_bus();
     follower.follow(None);
-    assert_eq!(follower.not_ready(), 0);
+    assert_eq!(follower.alarms().joints(), 0);
     follower.follow(Some(&machine(two_chips(), 7)));
-    assert_eq!(follower.not_ready(), 0b101);
+    assert_eq!(
+        follower.alarms(),
+        alarms(&[(0, DriveAlarm::NoBus), (2, DriveAlarm::NoBus)])
+    );
     follower.follow(Some(&machine(THREE, 8)));
-    assert_eq!(follower.not_ready(), 0);
+    assert_eq!(follower.alarms().joints(), 0);
 }

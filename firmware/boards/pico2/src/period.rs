@@ -23,7 +23,7 @@ use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
-use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_firmware::io::{DriveAlarm, DriveCommand, Inputs, Outputs};
 
 /// Data of SysTick.
 struct Front {
@@ -152,7 +152,7 @@ fn apply(front: &mut Front, back: &Back) {
         .iter()
         .any(|command| *command != DriveCommand::Off);
     // The controller sees a joint that is not ready one period later.
-    let ready = back.chips.not_ready() == 0;
+    let ready = back.chips.alarms().is_empty();
     pins::enable_drives(on && ready && !front.engine.is_stopped());
     if !on {
         front.engine.clear_lost_steps();
@@ -167,14 +167,21 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     inputs.period = front.period;
     inputs.missed = front.missed;
     inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
-    let broken = front.engine.lost() | back.wrong | back.chips.not_ready();
+    let (lost, wrong, chips) = (front.engine.lost(), back.wrong, back.chips.alarms());
     for joint in 0..JOINTS {
         let input = &mut inputs.joints[joint];
         input.steps = front.engine.emitted(joint);
         input.home = levels.home(joint);
     }
     for (joint, input) in inputs.joints.iter_mut().enumerate() {
-        input.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
+        let alarm = match chips.of(joint) {
+            _ if wrong >> joint & 1 != 0 => Some(DriveAlarm::Unsupported),
+            Some(alarm) => Some(alarm),
+            None if lost >> joint & 1 != 0 => Some(DriveAlarm::StepsCut),
+            None => (!levels.drives_ready()).then_some(DriveAlarm::Input),
+        };
+        input.drive_ready = alarm.is_none();
+        input.alarm = alarm.unwrap_or_default();
     }
     inputs.digital = levels.digital();
     inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();

@@ -25,7 +25,7 @@ use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
-use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_firmware::io::{DriveAlarm, DriveCommand, Inputs, Outputs};
 
 /// Priorities: the line to the host is more urgent than the period, its computation less.
 const URGENT: u8 = 0x80;
@@ -195,9 +195,15 @@ fn latch(front: &mut Front, back: &mut Back, levels: Levels) {
         input.limit_low = levels.limit_low(joint);
         input.limit_high = levels.limit_high(joint);
     }
-    let broken = front.engine.lost() | back.wrong;
+    let (lost, wrong) = (front.engine.lost(), back.wrong);
     for (joint, input) in inputs.joints.iter_mut().enumerate() {
-        input.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
+        let alarm = match (wrong >> joint & 1 != 0, lost >> joint & 1 != 0) {
+            (true, _) => Some(DriveAlarm::Unsupported),
+            (_, true) => Some(DriveAlarm::StepsCut),
+            _ => (!levels.drives_ready()).then_some(DriveAlarm::Input),
+        };
+        input.drive_ready = alarm.is_none();
+        input.alarm = alarm.unwrap_or_default();
     }
     inputs.digital = levels.digital();
     inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();

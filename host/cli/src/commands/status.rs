@@ -2,7 +2,9 @@
 
 use super::io_status::IoStatus;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{AxisValues, FULL_SPEED_FACTOR, State, Telemetry};
+use haptimill_protocol::message::{
+    AxisValues, FULL_SPEED_FACTOR, InputProblem, MAX_AXES, State, Telemetry,
+};
 use serde_json::Value;
 use std::fmt::{Display, Formatter, Write as _};
 
@@ -34,7 +36,7 @@ impl<'n> ActiveLines<'n> {
     fn new(joints: &'n [String], status: &Telemetry) -> Self {
         let active = status.lines();
         let [home, low, high] = active.switches;
-        let lines = [home, low, high, active.alarms];
+        let lines = [home, low, high, active.alarms.joints()];
         let of_joint = |(joint, name): (usize, &'n String)| {
             let active = LINES.iter().zip(lines);
             let active = active.filter(|(_, joints)| joints >> joint & 1 != 0);
@@ -70,6 +72,17 @@ impl Display for ActiveLines<'_> {
         }
         write!(f, "active: {}", active.join(", "))
     }
+}
+
+/// A sentence for each drive that reports an alarm.
+fn alarms(model: &Model, status: &Telemetry) -> Vec<String> {
+    let alarms = status.lines().alarms;
+    let joints = (0..MAX_AXES).filter_map(|joint| Some((joint as u8, alarms.of(joint)?)));
+    let sentence = |(joint, alarm)| {
+        let problem = InputProblem::Drive { joint, alarm };
+        model.with_axes(|axes| axes.describe(&problem).to_string())
+    };
+    joints.map(sentence).collect()
 }
 
 impl StatusReport {
@@ -115,6 +128,7 @@ impl StatusReport {
             .map(|(_, name)| name)
             .collect();
         let lines = ActiveLines::new(&joint_names, status);
+        let alarms = alarms(model, status);
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
             "machine": machine,
@@ -132,6 +146,7 @@ impl StatusReport {
             // Without a machine file the joints have no names.
             "open_loop": (!joint_names.is_empty()).then_some(&open_loop),
             "active_lines": (!joint_names.is_empty()).then(|| lines.json()),
+            "alarms": alarms,
             "emergency_stop_open": status.lines().emergency_stop,
             "following_error": map(joints(&status.following_error)),
             "compensation_percent": status.compensation(),
@@ -161,6 +176,9 @@ impl StatusReport {
         );
         if let Some(fault) = fault {
             line!(text, "fault      {fault}");
+        }
+        for alarm in &alarms {
+            line!(text, "alarm      {alarm}");
         }
         if status.lost_bytes > 0 {
             line!(

@@ -82,7 +82,8 @@ impl Client {
                 }
             }
             Report::Answer { id, result } => {
-                let Some((ticket, command)) = self.requests.answered(id, result) else {
+                let Some((ticket, command)) = self.requests.answered(id, result, self.now_us)
+                else {
                     return;
                 };
                 if let (Command::Activate { crc, .. }, Ok(())) = (&command, result) {

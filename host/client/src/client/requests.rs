@@ -2,7 +2,7 @@
 
 use super::{LineHealth, RequestError, Ticket};
 use haptimill_protocol::link::HostLink;
-use haptimill_protocol::message::{Command, Refusal, Request};
+use haptimill_protocol::message::{Command, InputProblem, Refusal, Request};
 use std::collections::VecDeque;
 
 /// A request that is finished.
@@ -17,7 +17,30 @@ pub(super) struct Requests {
     done: VecDeque<Finished>,
     tickets: u64,
     last_id: u8,
+    /// The enabling that is repeated.
+    repeated: Option<RepeatedEnable>,
 }
+
+/// `Enable` that the controller refused because of a driver chip. The board may still be setting
+/// the chip, or try it again.
+#[derive(Debug)]
+struct RepeatedEnable {
+    ticket: Ticket,
+    /// The last refusal.
+    refusal: Refusal,
+    /// Time of the next request; `None` while it is queued or sent.
+    next_us: Option<u64>,
+    /// A refusal from this time on is final.
+    end_us: u64,
+}
+
+/// Longest time in which an enabling that is refused because of a driver chip is repeated,
+/// microseconds. A board sets four chips within 0.3 s, and tries a silent one again every 0.1 s or
+/// so.
+const CHIPS_US: u64 = 1_000_000;
+
+/// Time between two of these requests, microseconds.
+const REPEAT_ENABLE_US: u64 = 20_000;
 
 /// A request that waits for its acknowledgement.
 #[derive(Debug)]
@@ -32,6 +55,22 @@ struct Asked {
 /// Requests that wait for an acknowledgement at most: fewer than there are request numbers.
 const MAX_PENDING: usize = 64;
 
+/// Whether a command ends the repetition of an enabling: drives that the operator wants off, or
+/// that another command concerns, are not switched on afterwards.
+const fn ends_repetition(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::Enable
+            | Command::Disable
+            | Command::EmergencyStop
+            | Command::Stop
+            | Command::Hold
+            | Command::Reset
+            | Command::MoveOff { .. }
+            | Command::Activate { .. }
+    )
+}
+
 impl Requests {
     fn ticket(&mut self) -> Ticket {
         self.tickets += 1;
@@ -40,6 +79,9 @@ impl Requests {
 
     /// Queues a request with an acknowledgement.
     pub(super) fn ask(&mut self, command: Command) -> Ticket {
+        if ends_repetition(&command) {
+            self.end_repetition();
+        }
         let ticket = self.ticket();
         self.queue.push_back((Some(ticket), command));
         ticket
@@ -68,6 +110,12 @@ impl Requests {
 
     /// Passes requests to the link, as far as its window allows.
     pub(super) fn send(&mut self, link: &mut HostLink, now_us: u64, answer_us: u64) {
+        if let Some(repeated) = &mut self.repeated
+            && repeated.next_us.take_if(|next| now_us >= *next).is_some()
+        {
+            let ticket = Some(repeated.ticket);
+            self.queue.push_front((ticket, Command::Enable));
+        }
         while self.asked.len() < MAX_PENDING {
             let Some((ticket, command)) = self.queue.pop_front() else {
                 break;
@@ -100,18 +148,59 @@ impl Requests {
             .unwrap_or(1)
     }
 
-    /// Takes an acknowledgement, and returns its request.
+    /// Takes an acknowledgement, and returns its request. An enabling that is repeated is not
+    /// finished.
     pub(super) fn answered(
         &mut self,
         id: u8,
         result: Result<(), Refusal>,
+        now_us: u64,
     ) -> Option<(Ticket, Command)> {
         let index = self.asked.iter().position(|asked| asked.id == id)?;
         let asked = self.asked.remove(index);
+        if asked.command == Command::Enable && self.repeats(&asked, result.err(), now_us) {
+            return None;
+        }
         let name = asked.command.name();
         self.done
             .push_back((asked.ticket, name, result.map_err(RequestError::Refused)));
         Some((asked.ticket, asked.command))
+    }
+
+    /// Whether an answered `Enable` is repeated: a driver chip was the reason of its refusal.
+    fn repeats(&mut self, asked: &Asked, refusal: Option<Refusal>, now_us: u64) -> bool {
+        let before = self.repeated.take_if(|it| it.ticket == asked.ticket);
+        let end_us = before.map_or(asked.sent_us.saturating_add(CHIPS_US), |it| it.end_us);
+        let Some(refusal @ Refusal::Input(InputProblem::Drive { alarm, .. })) = refusal else {
+            return false;
+        };
+        if !alarm.is_of_chip() || now_us >= end_us {
+            return false;
+        }
+        self.end_repetition();
+        self.repeated = Some(RepeatedEnable {
+            ticket: asked.ticket,
+            refusal,
+            next_us: Some(now_us + REPEAT_ENABLE_US),
+            end_us,
+        });
+        true
+    }
+
+    /// The last refusal of the enabling that is repeated is final.
+    fn end_repetition(&mut self) {
+        let Some(mut repeated) = self.repeated.take() else {
+            return;
+        };
+        if repeated.next_us.is_some() {
+            let refused = Err(RequestError::Refused(repeated.refusal));
+            let name = Command::Enable.name();
+            self.done.push_back((repeated.ticket, name, refused));
+        } else {
+            // Its answer comes before those of later requests.
+            repeated.end_us = 0;
+            self.repeated = Some(repeated);
+        }
     }
 
     /// Fails the request whose acknowledgement is overdue, if there is one.
@@ -148,6 +237,13 @@ impl Requests {
     }
 
     fn fail_queue(&mut self, error: &RequestError) {
+        if let Some(repeated) = self.repeated.take()
+            && repeated.next_us.is_some()
+        {
+            let name = Command::Enable.name();
+            self.done
+                .push_back((repeated.ticket, name, Err(error.clone())));
+        }
         for (ticket, command) in self.queue.drain(..) {
             if let Some(ticket) = ticket {
                 self.done

@@ -46,7 +46,7 @@ use crate::client::{Client, ClientState, JobEnding, Notification, Options, Reque
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State, Telemetry};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
 use haptimill_protocol::text::Describe;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -71,14 +71,6 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// Addresses of the chips that the board sets, by joint.
-fn chips_of(machine: &MachineFile) -> Vec<Option<u8>> {
-    let joints = machine.config.joints.iter();
-    joints
-        .map(|joint| joint.tmc2209().map(|chip| chip.address))
-        .collect()
-}
-
 /// A random session number: a repetition is very unlikely.
 #[must_use]
 pub fn fresh_number() -> u32 {
@@ -92,8 +84,6 @@ pub struct Session<L> {
     line: L,
     client: Client,
     model: Model,
-    /// Addresses of the chips that the board sets, by joint.
-    chips: Vec<Option<u8>>,
     received: Vec<u8>,
     transmit: Vec<u8>,
     now_us: u64,
@@ -139,7 +129,6 @@ impl<L: Line> Session<L> {
             line_rate: options.timing.line_rate,
             client: Client::new(options),
             model: Model::new(machine),
-            chips: chips_of(machine),
             received: Vec::new(),
             transmit: Vec::new(),
             now_us: 0,
@@ -207,13 +196,11 @@ impl<L: Line> Session<L> {
     /// Uses another machine file from now on.
     pub fn set_machine(&mut self, machine: &MachineFile) {
         self.model = Model::new(machine);
-        self.chips = chips_of(machine);
     }
 
     /// Describes axes without names and units: the machine file of the controller is not known.
     pub fn clear_axes(&mut self) {
         self.model.clear_axes();
-        self.chips.clear();
     }
 
     /// Time of the line, microseconds.
@@ -395,10 +382,7 @@ impl<L: Line> Session<L> {
 
     /// Why the controller refused a command, with the fault if that is why.
     fn why(&self, refusal: &Refusal) -> String {
-        let mut why = self.describe(refusal);
-        if let Refusal::Input(InputProblem::Drive { joint }) = refusal {
-            why.push_str(&self.chip_remedy(*joint));
-        }
+        let why = self.describe(refusal);
         match self.cause(refusal) {
             Some(fault) => format!("{why} ({})", self.describe(&fault)),
             None => why,
@@ -485,41 +469,8 @@ impl<L: Line> Session<L> {
     pub fn fault(&self, fault: &Fault) -> Error {
         Error::new(
             ErrorKind::Fault,
-            format!(
-                "machine fault: {}{}",
-                self.describe(fault),
-                self.remedy(fault)
-            ),
+            format!("machine fault: {}", self.describe(fault)),
         )
-    }
-
-    /// What the description of a fault does not say about its remedy; empty for nothing.
-    fn remedy(&self, fault: &Fault) -> String {
-        match fault {
-            Fault::Drive { joint } => self.chip_remedy(*joint),
-            _ => String::new(),
-        }
-    }
-
-    /// What to check at the drive of a joint whose chip the board sets; empty without such a chip.
-    fn chip_remedy(&self, joint: u8) -> String {
-        let chip = self.chips.get(usize::from(joint));
-        let Some(address) = chip.copied().flatten() else {
-            return String::new();
-        };
-        format!(
-            "; its TMC2209 with address {address} is silent, was reset, or has switched off: check \
-             the supply of the motors, the wire of its UART, its address, its temperature and the \
-             phases of the motor; of a Raspberry Pi Pico 2 only the image with the USB has its bus"
-        )
-    }
-
-    /// Joints with a chip that the board sets, one bit each.
-    fn joints_with_chips(&self) -> u8 {
-        let chips = self.chips.iter().enumerate();
-        chips.fold(0, |bits, (joint, chip)| {
-            bits | u8::from(chip.is_some()) << joint
-        })
     }
 }
 

@@ -81,10 +81,6 @@ impl<L: Line> Procedure<L> for StatusQuery {
     }
 }
 
-/// Longest wait for the chips of the drives, microseconds. The board sets four of them within 0.3
-/// s, and tries a silent one again every 0.1 s or so.
-const CHIPS_US: u64 = 1_000_000;
-
 /// Homes the machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Homing {
@@ -258,8 +254,7 @@ impl<L: Line> Session<L> {
         self.complete(query)
     }
 
-    /// Enables the drives if they are disabled. A board that sets the chips of the drives may still
-    /// be at it: they have a second.
+    /// Enables the drives if they are disabled.
     ///
     /// # Errors
     /// The controller refuses: a latched fault or emergency stop, an input, a pose out of reach. A
@@ -272,9 +267,6 @@ impl<L: Line> Session<L> {
         ) {
             return Ok(());
         }
-        if before.state == State::Disabled {
-            self.wait_for_chips()?;
-        }
         self.ask(Command::Enable).map_err(|refusal| {
             // The refusal names the state only; a fault that is new is its cause.
             match self.status() {
@@ -284,20 +276,6 @@ impl<L: Line> Session<L> {
                 _ => refusal,
             }
         })
-    }
-
-    /// Waits until the drives whose chips the board sets report no alarm, for [`CHIPS_US`] at most:
-    /// the controller then refuses to switch them on, and says which one is not ready.
-    fn wait_for_chips(&mut self) -> Result<(), Error> {
-        let chips = self.joints_with_chips();
-        let end = self.now_us.saturating_add(CHIPS_US);
-        while chips != 0 && self.now_us < end && !self.is_interrupted() {
-            let lines = self.status()?.lines();
-            if lines.alarms & chips == 0 {
-                break;
-            }
-        }
-        Ok(())
     }
 
     /// Homes the machine and waits until it is homed.

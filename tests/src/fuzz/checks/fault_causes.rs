@@ -344,7 +344,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         K::EncoderSlip { .. } => counter || following || stroke || pose,
         K::EncoderNoise { .. } => counter || following,
         K::IndexMissing { .. } => matches!(fault, Fault::Homing { joint, .. } if of(joint)),
-        K::DriveTripped { .. } => matches!(fault, Fault::Drive { joint } if of(joint)),
+        K::DriveTripped { .. } => matches!(fault, Fault::Drive { joint, .. } if of(joint)),
         K::DriveDead { .. }
         | K::DriveWeak { .. }
         | K::DriveReversed { .. }

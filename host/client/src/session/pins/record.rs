@@ -3,8 +3,11 @@
 
 use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
+use haptimill_protocol::message::Alarms;
 
-use haptimill_board_common::period_record::{BUSY, GLITCHES, LATE, STAGE_WORDS, STEP_WORDS};
+use haptimill_board_common::period_record::{
+    ALARMS, BUSY, GLITCHES, LATE, STAGE_WORDS, STEP_WORDS,
+};
 pub use haptimill_board_common::period_record::{JOINTS, WORDS};
 
 /// A control period of a board.
@@ -50,8 +53,10 @@ impl Period {
             // The record has room for no more bytes than the inputs.
             let _ = inputs.received.push(byte);
         }
+        let alarms = Alarms::of_bits(words[ALARMS]);
         for (axis, seen) in inputs.joints.iter_mut().enumerate() {
             seen.drive_ready = words[2] >> (8 + axis) & 1 != 0;
+            seen.alarm = alarms.of(axis).unwrap_or_default();
             if axis < JOINTS {
                 seen.home = words[2] >> axis & 1 != 0;
                 seen.steps = words[22 + axis] as i32;
