@@ -6,9 +6,11 @@ mod haptics;
 mod motion;
 mod named_io;
 mod setpoint;
+mod store;
 
 use conditions::{Done, in_state, settled};
 pub(crate) use setpoint::enqueue_setpoint;
+pub(crate) use store::{follow as follow_store, restore};
 
 use crate::comm::server::Server;
 use crate::comm::telemetry::Stream;
@@ -45,6 +47,13 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             crc,
             at_preset,
         } => activate(core, server, inputs, length, crc, at_preset),
+        Command::Store { length, crc } => {
+            match store::store(core, server, inputs, request.id, (length, crc)) {
+                // The answer follows when it is kept.
+                Ok(()) => return,
+                refused => refused,
+            }
+        }
         Command::Enable => match enable(core, inputs) {
             Ok(()) if settled(core).is_err() => {
                 // The answer follows when the step motors have locked.
@@ -150,8 +159,20 @@ fn activate(
     if core.safety.drives_on() {
         return Err(Refusal::State(core.safety.state()));
     }
+    store::not_storing(core)?;
+    let staged = server.staged();
+    if staged.len() != usize::from(length) || crc32(staged) != crc {
+        return Err(Refusal::ConfigCheck);
+    }
+    install(core, staged, crc, inputs, at_preset)
+}
+
+/// Makes a configuration the active one.
+#[cold]
+#[inline(never)]
+fn install(core: &mut Core, staged: &[u8], crc: u32, inputs: &Inputs, at_preset: bool) -> Done {
     let mut config = None;
-    decode(server.staged(), length, crc, &mut config)?;
+    decode(staged, &mut config)?;
     let config = config.as_ref().ok_or(Refusal::ConfigCheck)?;
     if config.period_us != core.period_us {
         return Err(Refusal::Config(ConfigProblem {
@@ -183,13 +204,10 @@ fn activate(
     Ok(())
 }
 
-/// Decodes the staged configuration into `decoded`. A frame of its own, and no configuration in the
+/// Decodes a configuration into `decoded`. A frame of its own, and no configuration in the
 /// result, keep copies of it off the stack while the machine is built.
 #[inline(never)]
-fn decode(staged: &[u8], length: u16, crc: u32, decoded: &mut Option<Config>) -> Done {
-    if staged.len() != usize::from(length) || crc32(staged) != crc {
-        return Err(Refusal::ConfigCheck);
-    }
+fn decode(staged: &[u8], decoded: &mut Option<Config>) -> Done {
     let problem = |field| Refusal::Config(ConfigProblem { field, index: None });
     // CRC and schema match, so an unreadable part is one that this controller was built without.
     let unreadable = if HAPTICS {
@@ -208,6 +226,7 @@ fn decode(staged: &[u8], length: u16, crc: u32, decoded: &mut Option<Config>) ->
 
 fn enable(core: &mut Core, inputs: &Inputs) -> Done {
     in_state(core, &[State::Disabled])?;
+    store::not_storing(core)?;
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
     if inputs.emergency_stop {
         return Err(Refusal::Input(InputProblem::EmergencyStop));
@@ -269,6 +288,7 @@ fn home(core: &mut Core) -> Done {
 #[inline(never)]
 fn move_off(core: &mut Core, joint: u8, inputs: &Inputs) -> Done {
     in_state(core, &[State::Disabled])?;
+    store::not_storing(core)?;
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
     if inputs.emergency_stop {
         return Err(Refusal::Input(InputProblem::EmergencyStop));

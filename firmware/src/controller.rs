@@ -71,6 +71,9 @@ impl Controller {
 
         core.track_out_of_band_stop(inputs.out_of_band_stop);
         core.start_session(server.session_begun());
+        if core.job.storing.is_some() {
+            commands::follow_store(core, server, inputs);
+        }
         match incoming {
             Some(Incoming::Request) => commands::execute(core, server, inputs),
             Some(Incoming::Setpoint { number, validated }) => {
@@ -133,6 +136,7 @@ impl Controller {
             period_us: self.core.period_us,
             axes: machine.map_or(0, |machine| machine.axes() as u8),
             queue: QUEUE as u16,
+            kept: self.core.kept,
         };
         self.server.welcome(&identity, busy);
     }
@@ -151,6 +155,23 @@ impl Controller {
             let message = telemetry::sample(&self.core, inputs, &line, stream);
             self.server.send_telemetry(stream, message.as_ref());
         }
+    }
+
+    /// Activates the configuration that the board keeps ([`crate::kept`]), or states that it keeps
+    /// none. A board that can keep one calls it once, before the first period and with its counters
+    /// at 0. A configuration that cannot be activated is ignored and reported to the host.
+    pub fn restore(&mut self, kept: Option<&[u8]>) {
+        commands::restore(&mut self.core, kept);
+    }
+
+    /// The configuration that the board must keep from now on, without its mark
+    /// ([`crate::kept::prefix`]). It is there after the period in which the host ordered it. From
+    /// the next period on [`Inputs::storage`] says how far the board is.
+    #[must_use]
+    #[inline]
+    pub fn to_store(&self) -> Option<&[u8]> {
+        let is_new = self.core.job.storing.is_some_and(|it| it.is_new);
+        is_new.then(|| self.server.staged())
     }
 
     /// The configured machine, for recorders and tests.
@@ -213,6 +234,9 @@ impl Core {
             self.job.stale_commands = false;
             self.job.new_session = true;
             self.job.enabling = 0;
+            if let Some(storing) = &mut self.job.storing {
+                storing.id = None;
+            }
             if let Some(machine) = &mut self.machine {
                 machine.masters.remote.reset();
             }

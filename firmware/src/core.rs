@@ -3,7 +3,7 @@
 use crate::joint::power_on_counts::SincePowerOn;
 use crate::machine::Machine;
 use crate::safety::Safety;
-use haptimill_protocol::message::{Event, Refusal, State};
+use haptimill_protocol::message::{Event, Kept, Refusal, State};
 
 /// The state of the controller without its link.
 #[derive(Debug)]
@@ -18,6 +18,8 @@ pub(crate) struct Core {
     pub job: Job,
     /// Encoder counts from power-on to the first configuration.
     pub power_on: SincePowerOn,
+    /// What the board keeps without a supply.
+    pub kept: Kept,
 }
 
 /// The job that runs, and the state that commands and faults set for later periods.
@@ -64,6 +66,19 @@ pub(crate) struct Job {
     pub preset_valid: bool,
     /// Number of the `Enable` request that is answered when the step motors have locked; 0 is none.
     pub enabling: u8,
+    /// A configuration that the board is keeping.
+    pub storing: Option<Storing>,
+}
+
+/// A configuration that the board is keeping.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Storing {
+    /// Number of the request; `None` if its session has ended.
+    pub id: Option<u8>,
+    /// CRC of the configuration.
+    pub crc: u32,
+    /// It was ordered in this period.
+    pub is_new: bool,
 }
 
 impl Core {
@@ -77,6 +92,7 @@ impl Core {
                 ..Job::default()
             },
             power_on: SincePowerOn::default(),
+            kept: Kept::Unsupported,
         }
     }
 

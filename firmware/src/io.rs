@@ -97,6 +97,36 @@ pub struct HapticOutputs {
 
 pub use haptimill_protocol::message::ANALOG;
 
+/// What a board says of its memory for a configuration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Storage {
+    /// It has none.
+    #[default]
+    None,
+    /// It is ready.
+    Ready,
+    /// It is keeping a configuration.
+    Busy,
+    /// The configuration that was ordered last is kept.
+    Stored,
+    /// The configuration that was ordered last is not kept.
+    Failed,
+}
+
+impl Storage {
+    /// The state with this code, 0 to 4; `None` for any other one.
+    #[must_use]
+    pub const fn of_code(code: u8) -> Self {
+        match code {
+            1 => Self::Ready,
+            2 => Self::Busy,
+            3 => Self::Stored,
+            4 => Self::Failed,
+            _ => Self::None,
+        }
+    }
+}
+
 /// All inputs, latched at the start of the period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs {
@@ -119,6 +149,8 @@ pub struct Inputs {
     pub analog: [i16; ANALOG],
     /// Emergency stop circuit is open.
     pub emergency_stop: bool,
+    /// The memory for a configuration.
+    pub storage: Storage,
     /// Bytes from the host, oldest first.
     pub received: Vec<u8, RECEIVE_BYTES>,
     /// Bytes that wait in the board's ring for a later period.

@@ -22,6 +22,7 @@ pub mod force;
 pub mod haptics;
 pub mod io;
 pub mod joint;
+pub mod kept;
 pub mod machine;
 mod modes;
 pub mod motion;

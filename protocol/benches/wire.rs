@@ -126,6 +126,7 @@ fn link(c: &mut Criterion) {
             period_us: 200,
             axes: 5,
             queue: 64,
+            kept: haptimill_protocol::message::Kept::Unsupported,
         };
         let count = host.transmit(0, &mut buffer);
         controller.receive(0, &buffer[..count]);

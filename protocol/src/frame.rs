@@ -96,9 +96,37 @@ fn crc_step(register: u32, byte: u8) -> u32 {
 
 /// Returns the CRC-32 (ISO-HDLC) of `bytes`, as in [`crate::message::Command::Activate`].
 pub fn crc32(bytes: &[u8]) -> u32 {
-    !bytes
-        .iter()
-        .fold(CRC_START, |register, &byte| crc_step(register, byte))
+    let mut crc = Crc32::new();
+    crc.add(bytes);
+    crc.value()
+}
+
+/// CRC-32 (ISO-HDLC) of bytes that come in parts.
+#[derive(Debug, Clone, Copy)]
+pub struct Crc32(u32);
+
+impl Crc32 {
+    /// No byte came yet.
+    pub const fn new() -> Self {
+        Self(CRC_START)
+    }
+
+    /// Adds the next bytes.
+    pub fn add(&mut self, bytes: &[u8]) {
+        let step = |register, byte: &u8| crc_step(register, *byte);
+        self.0 = bytes.iter().fold(self.0, step);
+    }
+
+    /// The CRC of all bytes so far.
+    pub const fn value(self) -> u32 {
+        !self.0
+    }
+}
+
+impl Default for Crc32 {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 /// CRC register after content and check of a valid frame of a session. The check is the CRC

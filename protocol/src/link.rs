@@ -27,7 +27,7 @@
 //! use haptimill_protocol::link::{
 //!     ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing,
 //! };
-//! use haptimill_protocol::message::{Command, Report, Request};
+//! use haptimill_protocol::message::{Command, Kept, Report, Request};
 //!
 //! let mut host = HostLink::new(Timing::default());
 //! let mut controller = ControllerLink::new(Timing::default());
@@ -39,8 +39,10 @@
 //!     controller.receive(now_us, &buffer[..count]);
 //!     // The controller, once a period: Hello, at most one message, at most 64 bytes.
 //!     if controller.hello().is_some() {
-//!         let identity =
-//!             Identity { machine: "mill", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
+//!         let identity = Identity {
+//!             machine: "mill", config_crc: 0, period_us: 200, axes: 5, queue: 64,
+//!             kept: Kept::Unsupported,
+//!         };
 //!         controller.welcome(now_us, &identity, false);
 //!     }
 //!     if controller.room(SHORT_REPORT) > 0

@@ -26,7 +26,7 @@ pub use problem::{
     Refusal,
 };
 pub use report::{ActiveLines, IoTelemetry, MoreTelemetry, Report, Telemetry};
-pub use session::{Hello, HelloRefusal, Welcome};
+pub use session::{Hello, HelloRefusal, Kept, Welcome};
 pub use setpoints::{Action, SetpointBatch, SetpointDelta};
 pub use state::State;
 

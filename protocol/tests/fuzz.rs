@@ -28,6 +28,7 @@ const IDENTITY: Identity<'static> = Identity {
     period_us: 200,
     axes: 5,
     queue: 64,
+    kept: haptimill_protocol::message::Kept::Unsupported,
 };
 
 /// Runs a body on the corpus and on short inputs, then on long ones (the engine's own byte strings

@@ -18,6 +18,7 @@ const IDENTITY: Identity<'static> = Identity {
     period_us: 200,
     axes: 5,
     queue: 64,
+    kept: haptimill_protocol::message::Kept::Unsupported,
 };
 
 /// Returns a request with its number; length and content depend on the number.

@@ -150,6 +150,12 @@ fn hello_and_welcome_fit_a_frame() {
         period_us: u16::MAX,
         axes: 255,
         queue: u16::MAX,
+        kept: Kept::Refused(Refusal::JointRate {
+            setpoint: u32::MAX,
+            joint: u8::MAX,
+            rate: i32::MIN,
+            limit: i32::MIN,
+        }),
     };
     assert!(size(&hello) <= MAX_PAYLOAD && size(&welcome) <= MAX_PAYLOAD);
 }

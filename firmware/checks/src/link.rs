@@ -153,6 +153,7 @@ fn exchange(errors: u64, count: u32) {
         period_us: 200,
         axes: 5,
         queue: 256,
+        kept: haptimill_protocol::message::Kept::Unsupported,
     };
     host.open(99, 0);
     let (mut sent, mut received, mut reports_sent, mut reports_received) = (0, 0, 0, 0);

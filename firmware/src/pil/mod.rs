@@ -32,7 +32,7 @@
 mod fields;
 mod words;
 
-use crate::io::{Inputs, Outputs};
+use crate::io::{Inputs, Outputs, Storage};
 use crate::profiler::STAGES;
 use crate::snapshot::Snapshot;
 use fields::{
@@ -211,6 +211,7 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Reques
             inputs.transmit_room = (pair >> 16) as u16;
             inputs.time_ns = time_ns;
             inputs.emergency_stop = bits & 1 != 0;
+            inputs.storage = Storage::of_code((bits >> 8) as u8);
             inputs.digital = digital;
             inputs.analog = take_analog(&mut words);
             inputs.force = take_force(&mut words);
@@ -250,7 +251,7 @@ impl ToBoard {
                 words.put(u32::from(inputs.missed) | u32::from(inputs.transmit_room) << 16);
                 words.put(inputs.time_ns);
                 words.put(*arrived);
-                words.put(u32::from(inputs.emergency_stop));
+                words.put(u32::from(inputs.emergency_stop) | (inputs.storage as u32) << 8);
                 words.put(inputs.digital);
                 put_analog(&mut words, inputs.analog);
                 put_force(&mut words, &inputs.force);

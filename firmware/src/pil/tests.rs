@@ -95,11 +95,11 @@ proptest! {
     /// Every frame to the board decodes to what was encoded.
     #[test]
     fn inputs_arrive(
-        period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
+        period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32, storage in 0_u8..5,
         joints in prop::array::uniform6(joint()), period_us: u16, haptic in haptic(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
     ) {
         let force = ForceSample { codes, conversions, overload };
-        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, joints, digital, analog, ..Inputs::default() };
+        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, storage: crate::io::Storage::of_code(storage), joints, digital, analog, ..Inputs::default() };
         for message in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&message.encode()), Ok(message));
         }

@@ -1,5 +1,6 @@
 //! An emulated chip with its pins.
 
+use crate::flash::Flash;
 use crate::usb_host::UsbHost;
 use rp2350_emu::peripherals::usb::UsbCtrl;
 use rp2350_emu::{Config, Emulator, EmulatorBuilder};
@@ -7,6 +8,10 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Address of the flash.
 const FLASH: u32 = 0x1000_0000;
+
+/// DIRECT_CSR of the QMI, and its value after a reset.
+const DIRECT_CSR: u32 = 0x400D_0000;
+const CSR_AFTER_RESET: u32 = 6 << 22;
 
 /// Clock of the chip once its image has set it, Hz.
 pub const CLOCK_HZ: u64 = 150_000_000;
@@ -27,6 +32,8 @@ pub struct Chip {
     resets: u32,
     /// Pins that are driven from outside, and their levels.
     driven: (u32, u32),
+    /// The flash at the QMI.
+    flash: Flash,
     /// The host on the USB.
     pub usb_host: UsbHost,
 }
@@ -56,6 +63,7 @@ impl Chip {
             before: 0,
             resets: 0,
             driven: (0, 0),
+            flash: Flash::new(flash),
             usb_host: UsbHost::default(),
         };
         chip.reset();
@@ -74,6 +82,10 @@ impl Chip {
             core.regs.set_pc(entry & !1);
             core.ppb.vtor = FLASH;
         }
+        self.set_register(DIRECT_CSR, CSR_AFTER_RESET);
+        self.emulator.bus.qmi_writes.clear();
+        self.emulator.bus.qmi_received.clear();
+        self.flash.reset_of_processor();
         // The second core waits.
         self.emulator.bus.atomics.set_halted(1);
         let (pins, levels) = self.driven;
@@ -98,6 +110,15 @@ impl Chip {
             self.resets += 1;
         }
         let now = self.cycles();
+        if !self.emulator.bus.qmi_writes.is_empty() {
+            self.serve_flash(now);
+        }
+        if self.flash.is_direct() && self.address() >> 24 == FLASH >> 24 {
+            let at = self.address();
+            return Err(format!(
+                "code of the flash at {at:#010x} in the direct mode"
+            ));
+        }
         if now >= self.usb_host.due() {
             let host = &mut self.usb_host;
             self.emulator
@@ -105,6 +126,27 @@ impl Chip {
                 .with_usb(|device| host.serve(device, now))?;
         }
         Ok(self.emulator.bus.gpio_in.load(Relaxed))
+    }
+
+    /// Carries out what the image wrote to the QMI.
+    fn serve_flash(&mut self, now: u64) {
+        let bus = &mut self.emulator.bus;
+        while self.flash.is_free(now)
+            && let Some((register, value)) = bus.qmi_writes.pop_front()
+        {
+            if register == 0 {
+                self.flash.control(value, now);
+            } else {
+                bus.qmi_received.extend(self.flash.exchange(value, now));
+            }
+        }
+    }
+
+    /// The flash.
+    pub fn flash(&mut self) -> &mut Flash {
+        let now = self.cycles();
+        self.flash.finish(now);
+        &mut self.flash
     }
 
     /// Resets by the watchdog.

@@ -9,6 +9,7 @@
 
 pub mod checks;
 pub mod chip;
+pub mod flash;
 pub mod image;
 pub mod pico2;
 pub mod usb_host;

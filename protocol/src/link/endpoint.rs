@@ -3,7 +3,7 @@
 
 use super::{Link, LinkState, Payload};
 use crate::frame::Header;
-use crate::message::{Hello, HelloRefusal, PROTOCOL_VERSION, Report, Request, Welcome};
+use crate::message::{Hello, HelloRefusal, Kept, PROTOCOL_VERSION, Report, Request, Welcome};
 use crate::schema::schema_hash;
 use heapless::{Deque, String};
 use serde::Serialize;
@@ -215,6 +215,8 @@ pub struct Identity<'a> {
     pub axes: u8,
     /// Setpoints that the queue holds.
     pub queue: u16,
+    /// What the board keeps without a supply.
+    pub kept: Kept,
 }
 
 /// Result of [`Link::welcome`].
@@ -281,6 +283,7 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
             period_us: identity.period_us,
             axes: identity.axes,
             queue: identity.queue,
+            kept: identity.kept,
         });
         outcome
     }

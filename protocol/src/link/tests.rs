@@ -15,6 +15,7 @@ const IDENTITY: Identity<'static> = Identity {
     period_us: 200,
     axes: 5,
     queue: 64,
+    kept: crate::message::Kept::Unsupported,
 };
 
 /// Both endpoints and the time, on a line without faults.
@@ -192,6 +193,7 @@ fn other_versions_and_schemas_are_refused_by_both_ends() {
             period_us: 200,
             axes: 0,
             queue: 0,
+            kept: crate::message::Kept::Unsupported,
         };
         let payload = postcard::to_slice(&welcome, &mut buffer).unwrap();
         frame::encode(Header::Welcome, payload, 0, &mut frame).unwrap();

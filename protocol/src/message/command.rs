@@ -41,6 +41,14 @@ pub enum Command {
         /// power-on, and adds what was counted since.
         at_preset: bool,
     },
+    /// Keeps the active configuration without a supply (drives off only). It is staged again by
+    /// [`Command::Configure`] before. The answer comes when it is kept, within 2 s.
+    Store {
+        /// Length of the whole configuration in bytes.
+        length: u16,
+        /// CRC-32 (ISO-HDLC) of the whole configuration; that of the active one.
+        crc: u32,
+    },
     /// Switches the drives on. The commanded pose becomes the measured one and nothing moves. The
     /// answer comes when the step motors have locked, within a second.
     Enable,

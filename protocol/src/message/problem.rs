@@ -125,6 +125,16 @@ pub enum Refusal {
         /// The maximum rate, axis units per second.
         limit: i32,
     },
+    /// The drives are on.
+    DrivesOn,
+    /// The board keeps no configuration.
+    NoStorage,
+    /// The board is keeping a configuration.
+    Storing,
+    /// The staged configuration is not the active one.
+    NotActive,
+    /// The memory of the board failed.
+    StorageFailed,
     /// The input is no probe and no tool setter.
     NoProbe {
         /// Index of the input in the configuration.

@@ -1,5 +1,6 @@
 //! Start of a session: the host's hello and the controller's welcome.
 
+use super::Refusal;
 use heapless::String;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,25 @@ pub struct Welcome {
     pub axes: u8,
     /// Setpoints that the queue holds.
     pub queue: u16,
+    /// What the board keeps without a supply.
+    pub kept: Kept,
+}
+
+/// Configuration that a board keeps without a supply, and activates after a reset.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Kept {
+    /// The board keeps none.
+    #[default]
+    Unsupported,
+    /// There is none, or only damaged ones.
+    Nothing,
+    /// CRC-32 of the configuration, as in [`Welcome::config_crc`].
+    Config(u32),
+    /// An image with other messages kept one. It is ignored.
+    OtherVersion,
+    /// The controller refuses it. It is ignored.
+    Refused(Refusal),
 }
 
 /// Reason why a session is refused.

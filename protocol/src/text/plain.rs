@@ -149,6 +149,7 @@ impl Command {
             Self::Ping => "ping",
             Self::Configure(_) => "configure",
             Self::Activate { .. } => "activate",
+            Self::Store { .. } => "store",
             Self::Enable => "enable",
             Self::Disable => "disable",
             Self::Home => "home",

@@ -96,6 +96,20 @@ impl Describe for Refusal {
                 axes.coordinate(coordinate)
             ),
             Self::OldEpoch => f.write_str("this jog was cancelled"),
+            Self::DrivesOn => f.write_str("the drives are on; disable them first"),
+            Self::NoStorage => f.write_str(
+                "this board keeps no configuration; send the machine file after each power-on",
+            ),
+            Self::Storing => f.write_str(
+                "the board is keeping a configuration; wait a second, then send the command again",
+            ),
+            Self::NotActive => {
+                f.write_str("the configuration to be kept is not the active one; activate it first")
+            }
+            Self::StorageFailed => f.write_str(
+                "the memory of the board failed, and the configuration before is still kept; try \
+                 again, or replace the board",
+            ),
             Self::ConfigCheck => {
                 f.write_str("the received configuration is incomplete; send it again")
             }

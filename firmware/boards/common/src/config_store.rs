@@ -13,7 +13,9 @@
 //! The page of the head is programmed last.
 
 use embedded_storage::nor_flash::NorFlash;
-use haptimill_protocol::frame::crc32;
+
+pub use embedded_storage::nor_flash;
+use haptimill_protocol::frame::{Crc32, crc32};
 
 /// Bytes that are programmed at a time: a page of common flash memories.
 pub const PAGE: usize = 256;
@@ -25,7 +27,7 @@ const MARK: u32 = 0x6663_4D48;
 /// Why a configuration was not kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StoreError<E> {
-    /// It is empty, or exceeds a slot or the buffer.
+    /// It is empty, or exceeds a slot.
     Length,
     /// What is read back is not what was written: the flash is worn out.
     Worn,
@@ -131,23 +133,26 @@ impl<F: NorFlash> ConfigStore<F> {
         Ok(Head::decode(&page).filter(|head| head.length <= max))
     }
 
-    /// Reads the configuration of a slot; `None` if it is damaged or exceeds the buffer.
-    fn read(
+    /// Reads a slot page by page until `check` is false for one; returns whether it was true for all.
+    fn all_pages(
         &mut self,
         index: u32,
-        head: &Head,
-        buffer: &mut [u8],
-    ) -> Result<Option<usize>, F::Error> {
-        let whole = head.length.next_multiple_of(PAGE);
-        let Some(bytes) = buffer.get_mut(..whole) else {
-            return Ok(None);
-        };
-        self.flash.read(self.start(index) + PAGE as u32, bytes)?;
-        Ok((crc32(&bytes[..head.length]) == head.crc).then_some(head.length))
+        length: usize,
+        mut check: impl FnMut(usize, &[u8]) -> bool,
+    ) -> Result<bool, F::Error> {
+        let mut page = [0; PAGE];
+        let places = (self.start(index) + PAGE as u32..).step_by(PAGE);
+        for (at, from) in places.zip((0..length).step_by(PAGE)) {
+            self.flash.read(at, &mut page)?;
+            if !check(from, &page[..PAGE.min(length - from)]) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
-    /// Finds the valid configuration and reads it: its slot, the number of its write, its length.
-    fn find(&mut self, buffer: &mut [u8]) -> Result<Option<(u32, u32, usize)>, F::Error> {
+    /// Finds the valid configuration: its slot and its head.
+    fn find(&mut self) -> Result<Option<(u32, Head)>, F::Error> {
         let (first, second) = (self.head(0)?, self.head(1)?);
         let mut slots = [(0, first), (1, second)];
         if let (Some(first), Some(second)) = (first, second)
@@ -156,42 +161,61 @@ impl<F: NorFlash> ConfigStore<F> {
             slots.reverse();
         }
         for (index, head) in slots {
-            if let Some(head) = head
-                && let Some(length) = self.read(index, &head, buffer)?
-            {
-                return Ok(Some((index, head.number, length)));
+            let Some(head) = head else {
+                continue;
+            };
+            let mut crc = Crc32::new();
+            self.all_pages(index, head.length, |_, bytes| {
+                crc.add(bytes);
+                true
+            })?;
+            if crc.value() == head.crc {
+                return Ok(Some((index, head)));
             }
         }
         Ok(None)
     }
 
-    /// Reads the configuration; `None` if there is none. The buffer takes whole pages.
+    /// Whether a slot has this configuration.
+    fn has(&mut self, index: u32, head: &Head, config: &[u8]) -> Result<bool, F::Error> {
+        if head.length != config.len() {
+            return Ok(false);
+        }
+        self.all_pages(index, head.length, |from, bytes| {
+            config[from..].starts_with(bytes)
+        })
+    }
+
+    /// Reads the configuration; `None` if there is none, or it exceeds the buffer. The buffer takes
+    /// whole pages.
     ///
     /// # Errors
     /// The flash cannot be read.
     pub fn load<'b>(&mut self, buffer: &'b mut [u8]) -> Result<Option<&'b [u8]>, F::Error> {
-        let found = self.find(buffer)?;
-        Ok(found.map(|(_, _, length)| &buffer[..length]))
+        let Some((index, head)) = self.find()? else {
+            return Ok(None);
+        };
+        let Some(bytes) = buffer.get_mut(..head.length.next_multiple_of(PAGE)) else {
+            return Ok(None);
+        };
+        self.flash.read(self.start(index) + PAGE as u32, bytes)?;
+        let config = &bytes[..head.length];
+        Ok((crc32(config) == head.crc).then_some(config))
     }
 
-    /// Keeps a configuration; `buffer` is for the one that is there.
+    /// Keeps a configuration.
     ///
     /// # Errors
     /// It is too long, the flash reports an error, or does not keep what was written. The
     /// configuration before it stays valid then.
-    pub fn save(
-        &mut self,
-        config: &[u8],
-        buffer: &mut [u8],
-    ) -> Result<Saved, StoreError<F::Error>> {
-        let whole = config.len().next_multiple_of(PAGE);
-        if config.is_empty() || config.len() > self.capacity() || whole > buffer.len() {
+    pub fn save(&mut self, config: &[u8]) -> Result<Saved, StoreError<F::Error>> {
+        if config.is_empty() || config.len() > self.capacity() {
             return Err(StoreError::Length);
         }
-        let found = self.find(buffer)?;
-        let (index, number) = match found {
-            Some((_, _, length)) if buffer[..length] == *config => return Ok(Saved::Unchanged),
-            Some((index, number, _)) => (1 - index, number.wrapping_add(1)),
+        let found = self.find()?;
+        let (index, number) = match &found {
+            Some((index, head)) if self.has(*index, head, config)? => return Ok(Saved::Unchanged),
+            Some((index, head)) => (1 - index, head.number.wrapping_add(1)),
             None => (0, 0),
         };
         let start = self.start(index);
@@ -209,8 +233,8 @@ impl<F: NorFlash> ConfigStore<F> {
             crc: crc32(config),
         };
         self.flash.write(start, &head.encode())?;
-        match self.find(buffer)? {
-            Some((kept, _, length)) if kept == index && buffer[..length] == *config => {
+        match self.find()? {
+            Some((kept, head)) if kept == index && self.has(index, &head, config)? => {
                 Ok(Saved::Written)
             }
             _ => Err(StoreError::Worn),

@@ -6,7 +6,7 @@
 //! | 0 | number of the period, lower half; the board writes it last |
 //! | 1 | missed periods; from bit 16 free bytes of the transmitter |
 //! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop |
-//! | | bit 17 out-of-band stop; from bit 24 cause of the last reset, as the flashes of the LED |
+//! | | bit 17 out-of-band stop; from bit 18 state of the memory for a configuration; from bit 24 cause of the last reset, as the flashes of the LED |
 //! | 3 | digital inputs; from bit 16 digital outputs |
 //! | 4 | received bytes; from bit 16 bytes that wait |
 //! | 5 | lost bytes; from bit 16 spindle speed |
@@ -58,6 +58,7 @@ pub fn write(words: &mut [u32; WORDS], inputs: &Inputs, outputs: &Outputs, cause
         | bits(|input| input.drive_ready) << 8
         | u32::from(inputs.emergency_stop) << 16
         | u32::from(inputs.out_of_band_stop) << 17
+        | (inputs.storage as u32) << 18
         | u32::from(cause) << 24;
     words[3] = pair(inputs.digital as u16, outputs.digital as u16);
     words[4] = pair(inputs.received.len() as u16, inputs.waiting);

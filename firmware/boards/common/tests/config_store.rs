@@ -139,9 +139,8 @@ fn loaded(memory: &Memory) -> Option<Vec<u8>> {
 
 /// The flash after a write, and what the write returned.
 fn saved(memory: &Memory, config: &[u8]) -> (Memory, Result<Saved, StoreError<Fault>>) {
-    let mut buffer = [0; SLOT as usize];
     let mut store = store(memory.clone());
-    let result = store.save(config, &mut buffer);
+    let result = store.save(config);
     (store.into_flash(), result)
 }
 

@@ -9,6 +9,7 @@
 //! | [`period`] | control period: SysTick latches and starts the pulses, PendSV computes |
 //! | `usb`, `usb_bus` | line to the host: a serial port on the USB |
 //! | `uart` | line to the host with the feature `uart`: UART0 |
+//! | [`storage`], [`flash`] | the configuration that is kept in the flash |
 //! | [`chips`] | chips of the drives: what the control period has of them |
 //! | `chip_bus` | their one-wire bus at UART0; not with the feature `uart` |
 //! | [`link`] | rings between the line and the controller |
@@ -26,18 +27,21 @@ mod chip_bus;
 mod chips;
 mod clocks;
 mod ending;
+mod flash;
 mod link;
 mod period;
 mod pins;
 mod record;
 mod registers;
 mod steps;
+mod storage;
 #[cfg(feature = "uart")]
 mod uart;
 #[cfg(not(feature = "uart"))]
 mod usb;
 #[cfg(not(feature = "uart"))]
 mod usb_bus;
+mod vectors;
 
 #[cfg(feature = "uart")]
 use uart as line;
@@ -49,6 +53,7 @@ use haptimill_board_cortex::guard::limit_stack;
 #[cortex_m_rt::entry]
 fn main() -> ! {
     limit_stack();
+    vectors::move_to_ram();
     let cause = ending::take_cause();
     clocks::start();
     pins::start();

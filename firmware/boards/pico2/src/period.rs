@@ -14,6 +14,7 @@ use crate::pins::{self, JOINTS, Levels};
 use crate::record::{self, Cycles, Start};
 use crate::registers::{SYSTICK, read, write};
 use crate::steps::{Batch, Engine, Filler, requirements};
+use crate::storage;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
@@ -75,6 +76,8 @@ pub fn start(line: InPeriod, bytes: Bytes, chips: Follower) {
     // SAFETY: no handler runs yet, and this function runs once.
     unsafe {
         put(BACK.place(), bytes, chips);
+        let controller = &mut BACK.get().controller;
+        storage::load(|kept| controller.restore(kept));
         FRONT.place().write(Front {
             engine: Engine::start(),
             line,
@@ -184,6 +187,7 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
         input.alarm = alarm.unwrap_or_default();
     }
     inputs.digital = levels.digital();
+    inputs.storage = storage::state();
     inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();
 }
 
@@ -206,6 +210,9 @@ fn PendSV() {
     outputs.transmit.clear();
     controller.tick(inputs, outputs, &mut profile);
     bytes.send(&outputs.transmit);
+    if let Some(config) = controller.to_store() {
+        storage::order(config);
+    }
     chips.follow(controller.machine());
     let (widths, wrong) = requirements(controller.machine());
     back.wrong = wrong;

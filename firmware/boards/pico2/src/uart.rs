@@ -7,6 +7,7 @@ use crate::chips::Keeper;
 use crate::ending::Lamp;
 use crate::link::Wire;
 use crate::registers::{read, write};
+use crate::storage;
 
 /// The UART.
 const UART0: usize = 0x4007_0000;
@@ -56,8 +57,10 @@ impl InPeriod {
 impl Between {
     /// Shows the cause of the last reset for ever.
     pub fn serve(self, mut lamp: Lamp, _: Keeper) -> ! {
+        let mut turn = || lamp.update();
         loop {
-            lamp.update();
+            turn();
+            storage::serve(&mut turn);
         }
     }
 }

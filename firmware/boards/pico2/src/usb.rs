@@ -11,6 +11,7 @@ use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::ending::Lamp;
 use crate::link::Wire;
 use crate::registers::read;
+use crate::storage;
 use crate::usb_bus::{Bus, PACKET};
 use core::pin::pin;
 use core::task::{Context, Waker};
@@ -99,7 +100,7 @@ impl Between {
         let mut chips = pin!(chip_bus::serve(keeper));
         // The loop polls it again at once: nothing has to wake it.
         let mut context = Context::from_waker(Waker::noop());
-        loop {
+        let mut turn = || {
             lamp.update();
             let _ = chips.as_mut().poll(&mut context);
             device.poll(&mut [&mut port]);
@@ -109,6 +110,10 @@ impl Between {
             } else {
                 packet.drop_all(&mut wire);
             }
+        };
+        loop {
+            turn();
+            storage::serve(&mut turn);
         }
     }
 }

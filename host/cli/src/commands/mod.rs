@@ -195,6 +195,9 @@ enum Command {
     Enable(simple::SimpleArgs),
     /// Switch the drives off, from standstill
     Disable(simple::SimpleArgs),
+    /// Let the board keep the machine file in its memory; after a reset it activates the file by
+    /// itself. Drives off only
+    Store(simple::SimpleArgs),
     /// Decelerate along the path and abort the job; the position is kept
     Stop(simple::StopArgs),
     /// Move a joint off its limit switch, slowly; the switch must open within a sixteenth of the
@@ -267,9 +270,11 @@ impl Command {
             Self::Home(args) => args.simple.json,
             Self::MoveOff(args) => args.simple.json,
             Self::Compensation(args) => args.simple.json,
-            Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
-                args.json
-            }
+            Self::Status(args)
+            | Self::Enable(args)
+            | Self::Disable(args)
+            | Self::Store(args)
+            | Self::Reset(args) => args.json,
             Self::Stop(args) => args.json,
             Self::Override(args) => args.job.json,
             Self::Hold(args) | Self::Resume(args) => args.json,
@@ -370,6 +375,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Status(args) => simple::run(SimpleCommand::Status, args),
         Command::Enable(args) => simple::run(SimpleCommand::Enable, args),
         Command::Disable(args) => simple::run(SimpleCommand::Disable, args),
+        Command::Store(args) => simple::run(SimpleCommand::Store, args),
         Command::MoveOff(args) => simple::move_off(args),
         Command::Stop(args) => simple::stop(args),
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),

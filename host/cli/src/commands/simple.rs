@@ -1,4 +1,4 @@
-//! `haptimill home`, `status`, `enable`, `disable`, `move-off`, `stop`, `reset` and `compensation`:
+//! `haptimill home`, `status`, `enable`, `disable`, `store`, `move-off`, `stop`, `reset` and `compensation`:
 //! one command to a running controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
@@ -56,6 +56,8 @@ pub enum SimpleCommand {
     Disable,
     /// Clear a latched fault.
     Reset,
+    /// Let the board keep the machine file.
+    Store,
 }
 
 /// Runs a simple command.
@@ -75,9 +77,14 @@ pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
         SimpleCommand::Enable => Need::Configuration,
         _ => Need::Nothing,
     };
+    if command == SimpleCommand::Store {
+        let machine = file_of(&chosen, &mut session)?;
+        session.store(&machine)?;
+        return print_status(&mut session, args.json);
+    }
     agree(&chosen, &mut session, need)?;
     match command {
-        SimpleCommand::Status => {}
+        SimpleCommand::Status | SimpleCommand::Store => {}
         SimpleCommand::Enable => session.enable()?,
         SimpleCommand::Disable => session.ask(Command::Disable)?,
         SimpleCommand::Reset => session.ask(Command::Reset)?,
@@ -292,7 +299,9 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
     let status = session.status()?;
     let machine = session.machine_name();
     let configuration = session.configuration_crc();
-    StatusReport::new(&machine, configuration, session.model(), &status).print(json);
+    let kept = session.kept();
+    let report = StatusReport::new(&machine, (configuration, kept), session.model(), &status);
+    report.print(json);
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use super::io_status::IoStatus;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{
-    AxisValues, FULL_SPEED_FACTOR, InputProblem, MAX_AXES, State, Telemetry,
+    AxisValues, FULL_SPEED_FACTOR, InputProblem, Kept, MAX_AXES, State, Telemetry,
 };
 use serde_json::Value;
 use std::fmt::{Display, Formatter, Write as _};
@@ -74,6 +74,26 @@ impl Display for ActiveLines<'_> {
     }
 }
 
+/// What a board keeps without a supply; `None` for a board without such a memory.
+fn describe_kept(kept: Kept, configuration: u32, model: &Model) -> Option<String> {
+    let replace = "`haptimill store --machine FILE` replaces it";
+    Some(match kept {
+        Kept::Unsupported => return None,
+        Kept::Nothing => "no machine file; `haptimill store` lets the board keep it".to_string(),
+        Kept::Config(crc) if crc == configuration => {
+            "this machine file; the board activates it after a reset".to_string()
+        }
+        Kept::Config(crc) => format!("another machine file (check {crc:08x}); {replace}"),
+        Kept::OtherVersion => {
+            format!("a machine file by another version of the image, which is ignored; {replace}")
+        }
+        Kept::Refused(refusal) => {
+            let why = model.with_axes(|axes| axes.describe(&refusal).to_string());
+            format!("a machine file that the board refuses: {why}; {replace}")
+        }
+    })
+}
+
 /// A sentence for each drive that reports an alarm.
 fn alarms(model: &Model, status: &Telemetry) -> Vec<String> {
     let alarms = status.lines().alarms;
@@ -86,11 +106,11 @@ fn alarms(model: &Model, status: &Telemetry) -> Vec<String> {
 }
 
 impl StatusReport {
-    /// Describes telemetry of a machine with this name (empty without a configuration) and check of
-    /// its configuration.
+    /// Describes telemetry of a machine with this name (empty without a configuration), check of its
+    /// configuration, and what its board keeps.
     pub(crate) fn new(
         machine: &str,
-        configuration: u32,
+        (configuration, kept): (u32, Kept),
         model: &Model,
         status: &Telemetry,
     ) -> Self {
@@ -129,6 +149,7 @@ impl StatusReport {
             .collect();
         let lines = ActiveLines::new(&joint_names, status);
         let alarms = alarms(model, status);
+        let kept = describe_kept(kept, configuration, model);
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
             "machine": machine,
@@ -147,6 +168,7 @@ impl StatusReport {
             "open_loop": (!joint_names.is_empty()).then_some(&open_loop),
             "active_lines": (!joint_names.is_empty()).then(|| lines.json()),
             "alarms": alarms,
+            "kept": kept,
             "emergency_stop_open": status.lines().emergency_stop,
             "following_error": map(joints(&status.following_error)),
             "compensation_percent": status.compensation(),
@@ -179,6 +201,9 @@ impl StatusReport {
         }
         for alarm in &alarms {
             line!(text, "alarm      {alarm}");
+        }
+        if let Some(kept) = &kept {
+            line!(text, "kept       {kept}");
         }
         if status.lost_bytes > 0 {
             line!(
@@ -275,7 +300,7 @@ mod tests {
     fn an_answer_is_the_same_status() {
         let machine = MachineFile::built_in().expect("the built-in machine");
         let telemetry = Telemetry::default();
-        let report = StatusReport::new("h4", 7, &Model::new(&machine), &telemetry);
+        let report = StatusReport::new("h4", (7, Kept::Nothing), &Model::new(&machine), &telemetry);
         let answer = serde_json::json!({ "done": report.answer() }).to_string();
         assert_eq!(StatusReport::of_answer(&answer), Some(report));
         assert_eq!(StatusReport::of_answer("{\"error\": \"no link\"}"), None);

@@ -360,8 +360,8 @@ impl App {
             Request::Status => {
                 let telemetry = self.telemetry.as_ref().ok_or(NO_REPORT)?;
                 let name = self.session.machine_name();
-                let crc = self.session.configuration_crc();
-                Ok(StatusReport::new(&name, crc, &self.model, telemetry).answer())
+                let configuration = (self.session.configuration_crc(), self.session.kept());
+                Ok(StatusReport::new(&name, configuration, &self.model, telemetry).answer())
             }
         }
     }

@@ -52,6 +52,7 @@ use haptimill_protocol::message::{
 use haptimill_protocol::out_of_band;
 use requests::Requests;
 use std::collections::VecDeque;
+use std::num::TryFromIntError;
 use stream::Stream;
 
 /// Telemetry frames that wait to be polled, at most.
@@ -197,14 +198,34 @@ impl Client {
     /// are taken to be at their presets.
     pub fn configure(&mut self, config: &[u8], at_preset: bool) -> Ticket {
         let crc = crc32(config);
-        let Ok(length) = u16::try_from(config.len()) else {
-            return self
-                .requests
-                .acknowledged("activate", Err(RequestError::Refused(Refusal::Range)));
-        };
-        if length > 0 && crc == self.active_crc && !at_preset {
+        if !config.is_empty() && crc == self.active_crc && !at_preset {
             return self.requests.acknowledged("activate", Ok(()));
         }
+        let Ok(length) = self.send_chunks(config) else {
+            let refused = Err(RequestError::Refused(Refusal::Range));
+            return self.requests.acknowledged("activate", refused);
+        };
+        self.requests.ask(Command::Activate {
+            length,
+            crc,
+            at_preset,
+        })
+    }
+
+    /// Orders that the board keeps a configuration, which must be the active one. Acknowledged as
+    /// `store` when it is kept.
+    pub fn store(&mut self, config: &[u8]) -> Ticket {
+        let Ok(length) = self.send_chunks(config) else {
+            let refused = Err(RequestError::Refused(Refusal::Range));
+            return self.requests.acknowledged("store", refused);
+        };
+        let crc = crc32(config);
+        self.requests.ask(Command::Store { length, crc })
+    }
+
+    /// Stages a configuration; returns its length.
+    fn send_chunks(&mut self, config: &[u8]) -> Result<u16, TryFromIntError> {
+        let length = u16::try_from(config.len())?;
         for (index, chunk) in config.chunks(CONFIG_CHUNK).enumerate() {
             let chunk = ConfigChunk {
                 offset: (index * CONFIG_CHUNK) as u16,
@@ -212,11 +233,7 @@ impl Client {
             };
             self.requests.send_unacknowledged(Command::Configure(chunk));
         }
-        self.requests.ask(Command::Activate {
-            length,
-            crc,
-            at_preset,
-        })
+        Ok(length)
     }
 
     /// Begins a job at `pose`, which must equal the commanded pose of the controller

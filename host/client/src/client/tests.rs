@@ -7,7 +7,7 @@ mod responder;
 
 use super::*;
 use haptimill_protocol::link::{ControllerLink, HelloOutcome, Identity, SHORT_REPORT, Timing};
-use haptimill_protocol::message::{Action, HelloRefusal};
+use haptimill_protocol::message::{Action, DriveAlarm, HelloRefusal, InputProblem};
 use haptimill_protocol::message::{Event, Report, State};
 use haptimill_protocol::out_of_band::StopDetector;
 use haptimill_protocol::setpoint::Setpoint;
@@ -248,6 +248,39 @@ fn requests_are_acknowledged_refused_or_time_out() {
         "the controller did not answer the command 'enable' within 2.0 s"
     );
     assert_eq!(world.answer(tickets[3]), Some(&Ok(())));
+}
+
+/// An enabling that is refused because of a driver chip is repeated for a second, and no longer
+/// after another command about the drives.
+#[test]
+fn an_enabling_waits_for_the_driver_chips() {
+    let refused = |answer: Option<&Result<(), RequestError>>| {
+        matches!(answer, Some(Err(RequestError::Refused(Refusal::Input(_)))))
+    };
+    let mut world = World::connected(4, Faults::default());
+    world.responder.refused_enables = 5;
+    let enable = world.client.request(Command::Enable);
+    assert!(world.until(1_000_000, |world| world.answer(enable) == Some(&Ok(()))));
+    let times = &world.responder.enables;
+    assert_eq!(times.len(), 6);
+    assert!(times.windows(2).all(|pair| pair[1] - pair[0] >= 20_000));
+
+    world.responder.refused_enables = usize::MAX;
+    let begun = world.now_us;
+    let enable = world.client.request(Command::Enable);
+    assert!(world.until(2_000_000, |world| refused(world.answer(enable))));
+    let waited = world.now_us - begun;
+    assert!((1_000_000..1_100_000).contains(&waited), "{waited} us");
+
+    let enable = world.client.request(Command::Enable);
+    world.until(100_000, |_| false);
+    assert!(world.answer(enable).is_none());
+    let disable = world.client.request(Command::Disable);
+    assert!(world.until(100_000, |world| world.answer(disable).is_some()));
+    assert!(refused(world.answer(enable)));
+    let count = world.responder.enables.len();
+    world.until(200_000, |_| false);
+    assert_eq!(world.responder.enables.len(), count, "it is not repeated");
 }
 
 #[test]

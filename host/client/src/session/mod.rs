@@ -46,7 +46,7 @@ use crate::client::{Client, ClientState, JobEnding, Notification, Options, Reque
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
+use haptimill_protocol::message::{Command, Event, Fault, Kept, Refusal, State, Telemetry};
 use haptimill_protocol::text::Describe;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -109,6 +109,8 @@ pub struct Session<L> {
     refusal: Option<Refusal>,
     /// Name and CRC of the configuration that this session activated.
     configured: Option<(String, u32)>,
+    /// CRC of the configuration that the board keeps by this session.
+    stored: Option<u32>,
     interrupted: Arc<AtomicBool>,
     /// Bandwidth of the line, bytes per second; 0 for no limit.
     line_rate: u32,
@@ -146,6 +148,7 @@ impl<L: Line> Session<L> {
             lost: None,
             refusal: None,
             configured: None,
+            stored: None,
             interrupted,
             telemetry_log: None,
         }
@@ -436,6 +439,30 @@ impl<L: Line> Session<L> {
         self.wait_for_acknowledgement(ticket)?;
         self.configured = Some((machine.config.name.to_string(), crc));
         Ok(())
+    }
+
+    /// Lets the board keep the machine file, which becomes the active configuration. After a reset
+    /// the board activates it by itself.
+    ///
+    /// # Errors
+    /// As [`Session::configure`]; the drives are on; the board keeps no configuration.
+    pub fn store(&mut self, machine: &MachineFile) -> Result<(), Error> {
+        self.configure(machine)?;
+        let (bytes, crc) = machine
+            .encoded()
+            .map_err(|error| Error::new(ErrorKind::Internal, error))?;
+        let ticket = self.client.store(&bytes);
+        self.wait_for_acknowledgement(ticket)?;
+        self.stored = Some(crc);
+        Ok(())
+    }
+
+    /// What the board keeps without a supply.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        let welcomed = self.client.controller().map(|welcome| welcome.kept);
+        let stored = self.stored.map(Kept::Config);
+        stored.or(welcomed).unwrap_or_default()
     }
 
     /// Name of the machine that the controller is configured as; empty when it is not.

@@ -310,13 +310,11 @@ impl Bridge {
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
             Request::Status => {
-                let (name, crc) = (
-                    self.session.machine_name(),
-                    self.session.configuration_crc(),
-                );
+                let name = self.session.machine_name();
+                let configuration = (self.session.configuration_crc(), self.session.kept());
                 let model = self.session.model().clone();
                 let telemetry = self.session.client_mut().telemetry().ok_or(NO_REPORT)?;
-                Ok(StatusReport::new(&name, crc, &model, telemetry).answer())
+                Ok(StatusReport::new(&name, configuration, &model, telemetry).answer())
             }
         }
     }

@@ -120,7 +120,7 @@ impl Job<'_> {
             Work::Stream(..) => self.streamed_speeds(),
             Work::Parts(_, speeds) => *speeds,
         };
-        let mut operator = Operator::new(self.args, self.machine, speeds);
+        let mut operator = Operator::new(self.args, self.machine, session.kept(), speeds);
         let result = self.stream(session, start, work, &mut operator);
         match before {
             Some(before) => result.and(before.restore(session)),

@@ -7,7 +7,7 @@ use crate::commands::requests::{NO_REPORT, Request, Requests};
 use crate::commands::status::StatusReport;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::Telemetry;
+use haptimill_protocol::message::{Kept, Telemetry};
 
 /// Commands of the operator, from the first job of a run to the last one.
 pub(super) struct Operator {
@@ -20,15 +20,20 @@ pub(super) struct Operator {
     pub(super) is_held: bool,
     /// The newest report of the machine.
     telemetry: Option<Telemetry>,
-    /// Name of the machine, check of its configuration, and its model.
-    machine: (String, u32, Model),
+    /// Name of the machine, check of its configuration and what its board keeps, and its model.
+    machine: (String, (u32, Kept), Model),
     requests: Requests,
 }
 
 impl Operator {
     /// Takes requests of other processes, of a machine behind a port; `speeds` are the slowest and
     /// the fastest speed of the spindle in the program, rev/min.
-    pub(super) fn new(args: &RunArgs, machine: &MachineFile, speeds: Option<[u16; 2]>) -> Self {
+    pub(super) fn new(
+        args: &RunArgs,
+        machine: &MachineFile,
+        kept: Kept,
+        speeds: Option<[u16; 2]>,
+    ) -> Self {
         Self {
             overrides: Overrides::new(args, machine.spindle, speeds),
             holds: false,
@@ -37,7 +42,7 @@ impl Operator {
             telemetry: None,
             machine: (
                 machine.config.name.to_string(),
-                machine.encoded().map_or(0, |(_, crc)| crc),
+                (machine.encoded().map_or(0, |(_, crc)| crc), kept),
                 Model::new(machine),
             ),
             // A job runs without them.
@@ -95,8 +100,8 @@ impl Operator {
             Request::Resume => Err("the job is not held, and does not pause".into()),
             Request::Status => {
                 let telemetry = self.telemetry.as_ref().ok_or(NO_REPORT)?;
-                let (name, crc, model) = &self.machine;
-                Ok(StatusReport::new(name, *crc, model, telemetry).answer())
+                let (name, configuration, model) = &self.machine;
+                Ok(StatusReport::new(name, *configuration, model, telemetry).answer())
             }
         }
     }

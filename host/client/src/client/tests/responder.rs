@@ -35,6 +35,9 @@ pub(super) struct Responder {
     pub(super) jogs: Vec<(u64, u16)>,
     pub(super) stops_received: u32,
     pub(super) activated: u32,
+    /// Times at which `Enable` came, and how many of them are refused because of a driver chip.
+    pub(super) enables: Vec<u64>,
+    pub(super) refused_enables: usize,
 }
 
 impl Responder {
@@ -67,6 +70,8 @@ impl Responder {
             jogs: Vec::new(),
             stops_received: 0,
             activated: 0,
+            enables: Vec::new(),
+            refused_enables: 0,
         }
     }
 
@@ -95,6 +100,7 @@ impl Responder {
             period_us: PERIOD_US,
             axes: 2,
             queue: QUEUE as u16,
+            kept: haptimill_protocol::message::Kept::Unsupported,
         };
         if self.link.welcome(now_us, &identity, self.busy) == HelloOutcome::Begun {
             (self.epoch, self.cancelled) = (0, 0);
@@ -204,6 +210,14 @@ impl Responder {
 
     fn obey(&mut self, command: Command) -> Result<(), Refusal> {
         match command {
+            Command::Enable => {
+                self.enables.push(self.period * u64::from(PERIOD_US));
+                if self.enables.len() <= self.refused_enables {
+                    let alarm = DriveAlarm::Setting;
+                    let problem = InputProblem::Drive { joint: 1, alarm };
+                    return Err(Refusal::Input(problem));
+                }
+            }
             Command::Configure(chunk) => {
                 self.staged.truncate(usize::from(chunk.offset));
                 self.staged.extend(&chunk.bytes);

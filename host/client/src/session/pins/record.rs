@@ -1,7 +1,7 @@
 //! The record of the last control period that an image keeps in its RAM, where its stack begins.
 //! Its layout is in [`haptimill_board_common::period_record`].
 
-use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
+use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment, Storage};
 use haptimill_firmware::profiler::STAGES;
 use haptimill_protocol::message::Alarms;
 
@@ -42,6 +42,7 @@ impl Period {
             time_ns: words[0].wrapping_mul(period_us * 1000),
             emergency_stop: words[2] >> 16 & 1 != 0,
             out_of_band_stop: words[2] >> 17 & 1 != 0,
+            storage: Storage::of_code((words[2] >> 18 & 0b111) as u8),
             digital: words[3] & 0xFFFF,
             waiting: (words[4] >> 16) as u16,
             lost_bytes: words[5] as u16,
