@@ -1,4 +1,4 @@
-//! The active configuration in the memory of the board, and the one that it activates after a reset.
+//! The active configuration in the memory of the board, and the one that is active after a reset.
 
 use super::conditions::Done;
 use super::install;

@@ -58,6 +58,7 @@ fn no_command_replaces_the_configuration_without_machine() {
         &["run", &program, "--stream", "--out", &out],
         &["jog", "--by", "x=1"],
         &["move-off", "l1"],
+        &["store"],
         &["mdi", "G0 X1"],
         &["probe", "z=-1"],
         &["probe", "edge", "z=-1", "--radius", "0"],

@@ -221,6 +221,22 @@ fn a_joint_is_moved_off_its_limit_switch() {
     assert!(ended.err.contains("did not open"), "{}", ended.err);
 }
 
+/// A board without a memory for it says so, and `status` has no row about one.
+#[test]
+fn store_is_refused_by_a_board_that_keeps_no_configuration() {
+    let served = SimServer::on_tcp(&[]);
+    let refused = served.run(&["store"]).expect_code(8);
+    assert!(
+        refused.err.contains("this board keeps no configuration"),
+        "{refused:#?}"
+    );
+    let status = served.run(&["status"]).expect_code(0).out;
+    assert!(!status.contains("kept "), "{status}");
+    served.run(&["enable"]).expect_code(0);
+    let refused = served.run(&["store"]).expect_code(8);
+    assert!(refused.err.contains("the drives are on"), "{refused:#?}");
+}
+
 /// What a person needs who wires a board: each switch, alarm and the emergency stop by name.
 #[test]
 fn status_names_the_active_switches_alarms_and_emergency_stop() {

@@ -231,7 +231,8 @@ fn a_power_cut_keeps_the_old_configuration_or_the_new_one() {
     }
 }
 
-/// A damaged slot falls back to the other one. With both damaged the board waits for a machine file.
+/// A damaged slot falls back to the other one. With both damaged the board waits for a machine
+/// file.
 #[test]
 fn a_damaged_slot_falls_back_to_the_other_one() {
     let (old, new) = (bench(), mill());
@@ -299,8 +300,8 @@ fn a_configuration_of_another_version_is_ignored_and_reported() {
     );
 }
 
-/// The board keeps nothing while its drives are on, and while it keeps something it neither switches
-/// them on nor activates another configuration.
+/// The board keeps nothing while its drives are on, and while it keeps something it neither
+/// switches them on nor activates another configuration.
 #[test]
 fn drives_and_orders_exclude_each_other() {
     let machine = bench();

@@ -133,7 +133,8 @@ impl<F: NorFlash> ConfigStore<F> {
         Ok(Head::decode(&page).filter(|head| head.length <= max))
     }
 
-    /// Reads a slot page by page until `check` is false for one; returns whether it was true for all.
+    /// Reads a slot page by page until `check` is false for one; returns whether it was true for
+    /// all.
     fn all_pages(
         &mut self,
         index: u32,

@@ -1,5 +1,5 @@
-//! `haptimill home`, `status`, `enable`, `disable`, `store`, `move-off`, `stop`, `reset` and `compensation`:
-//! one command to a running controller.
+//! `haptimill home`, `status`, `enable`, `disable`, `store`, `move-off`, `stop`, `reset` and
+//! `compensation`: one command to a running controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::board::{agree, file_of};

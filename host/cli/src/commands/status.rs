@@ -106,8 +106,8 @@ fn alarms(model: &Model, status: &Telemetry) -> Vec<String> {
 }
 
 impl StatusReport {
-    /// Describes telemetry of a machine with this name (empty without a configuration), check of its
-    /// configuration, and what its board keeps.
+    /// Describes telemetry of a machine with this name (empty without a configuration), check of
+    /// its configuration, and what its board keeps.
     pub(crate) fn new(
         machine: &str,
         (configuration, kept): (u32, Kept),

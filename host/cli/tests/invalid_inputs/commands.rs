@@ -22,6 +22,7 @@ const COMMANDS: &[&str] = &[
     "status --port PORT",
     "enable --port PORT",
     "disable --port PORT",
+    "store --port PORT",
     "stop --port PORT",
     "move-off --port PORT",
     "reset --port PORT",
