@@ -83,15 +83,15 @@ impl Corexy {
         let [a, b, ..] = *joints;
         let at_zero = self.pieces(0.0).map(|piece| piece.length);
         // Both pieces beside the rails: the pieces on the beam are its whole length together.
-        let wanted = at_zero[0] + at_zero[1] + a - b;
-        let mut beam = self.config.motors_y + 0.5 * wanted;
+        let length = at_zero[0] + at_zero[1] + a - b;
+        let mut beam = self.config.motors_y + 0.5 * length;
         for _ in 0..50 {
             let pieces = self.pieces(beam);
             let [left, right] = pieces;
             if !beam.is_finite() || beam <= self.config.motors_y {
                 return None;
             }
-            let step = (wanted - left.length - right.length) / (left.slope + right.slope);
+            let step = (length - left.length - right.length) / (left.slope + right.slope);
             beam += step;
             if step.abs() < CLOSED.max(beam.abs() * f64::EPSILON) {
                 let carriage = a - (left.length - at_zero[0]);

@@ -163,6 +163,7 @@ pub const fn name(command: &Command) -> &'static str {
         Command::ArmProbe { .. } => "ArmProbe",
         Command::Compensation { .. } => "Compensation",
         Command::MoveOff { .. } => "MoveOff",
+        Command::Store { .. } => "Store",
     }
 }
 

@@ -178,7 +178,7 @@ pub fn any(rng: &mut Rng) -> Command {
             })
             .collect()
     };
-    match rng.below(43) {
+    match rng.below(44) {
         0 => Command::Ping,
         1 => Command::Enable,
         2 => Command::Disable,
@@ -273,6 +273,10 @@ pub fn any(rng: &mut Rng) -> Command {
         39 => Command::RapidOverride { percent: byte(rng) },
         40 => Command::SpindleOverride { percent: byte(rng) },
         41 => remote_force(rng),
+        42 => Command::Store {
+            length: half(rng),
+            crc: rng.bits() as u32,
+        },
         _ => Command::MasterPose {
             epoch: half(rng),
             age_ms: byte(rng),

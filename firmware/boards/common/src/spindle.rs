@@ -34,8 +34,8 @@ impl SpindleLines {
     /// Callers must call it once every control period.
     pub fn update(&mut self, rpm: i16, counts: u32) -> SpindleLevels {
         let SpindleLevels { duty, is_clockwise } = self.levels;
-        let wanted = if rpm == 0 { is_clockwise } else { rpm > 0 };
-        let must_wait = wanted != is_clockwise && duty > 0;
+        let commanded = if rpm == 0 { is_clockwise } else { rpm > 0 };
+        let must_wait = commanded != is_clockwise && duty > 0;
         let speed = u32::from(rpm.unsigned_abs()).min(FULL_RPM);
         self.levels = if must_wait {
             SpindleLevels {
@@ -45,7 +45,7 @@ impl SpindleLines {
         } else {
             SpindleLevels {
                 duty: speed * counts / FULL_RPM,
-                is_clockwise: wanted,
+                is_clockwise: commanded,
             }
         };
         self.levels
