@@ -27,7 +27,7 @@ use crate::config::PlantConfig;
 use crate::contact::InputLines;
 use crate::fault::Switch as Kind;
 use crate::haptics::HapticArm;
-use crate::joint::encoder::{Encoder, EncoderCondition, Track};
+use crate::joint::encoder::{Edge, Encoder, EncoderCondition, Track};
 use crate::joint::gantry::Gantry;
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::PulseReport;
@@ -233,6 +233,18 @@ impl Plant {
         if let Some(encoder) = &mut self.joints[joint].encoder {
             encoder.set_condition(condition);
         }
+    }
+
+    /// Records the edges of the encoder of a joint from now on. Returns the present levels of its
+    /// channels A and B; `None` for a joint without one.
+    pub fn record_encoder_edges(&mut self, axis: usize) -> Option<(bool, bool)> {
+        Some(self.joints.get_mut(axis)?.encoder.as_mut()?.record_edges())
+    }
+
+    /// Takes the recorded edges of an encoder since the last call, oldest first.
+    pub fn take_encoder_edges(&mut self, axis: usize) -> Vec<Edge> {
+        let encoder = self.joints.get_mut(axis).and_then(|it| it.encoder.as_mut());
+        encoder.map(Encoder::take_edges).unwrap_or_default()
     }
 
     /// Adds a slip of `counts` to the counter of an encoder.

@@ -14,16 +14,20 @@ const FOLDER: &str = "host/emulator";
 
 /// Board whose image runs in the emulator.
 const BOARD: &str = "pico2";
-/// Variant of the image that is tested, too.
+/// Variants of the image that are tested, too.
 const UART: Variant<'_> = Variant {
     option: Some("uart"),
+    period_us: None,
+};
+const ENCODERS: Variant<'_> = Variant {
+    option: Some("encoders"),
     period_us: None,
 };
 
 /// What is done with the repaired emulator.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Build the program and the image of the board, for `haptimill run --port emu:pico2`.
+    /// Build the program and the images of the board, for `haptimill run --port emu:pico2`.
     Build,
     /// Test the repairs and the image of the board.
     Test,
@@ -46,6 +50,10 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     if matches!(task, Task::Test | Task::LongTest) {
         let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
         cargo.env("HAPTIMILL_UART_IMAGE", image);
+    }
+    if task != Task::Slot {
+        let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;
+        cargo.env("HAPTIMILL_ENCODER_IMAGE", image);
     }
     // Last: the path of the ELF file then has the image that the board has without options.
     let image = board.uf2(&board.build(root, true)?)?;
@@ -82,15 +90,18 @@ pub fn margin(root: &Path, period_us: &str) -> Result<(), String> {
     let folder = root.join(FOLDER);
     repair(root, &folder)?;
     let board = crate::named(BOARD)?;
-    let variant = Variant {
-        option: None,
-        period_us: Some(period_us),
+    let image = |option| {
+        let variant = Variant {
+            option,
+            period_us: Some(period_us),
+        };
+        board.uf2(&board.build_variant(root, true, &variant)?)
     };
-    let image = board.uf2(&board.build_variant(root, true, &variant)?)?;
     let mut cargo = crate::cargo();
     cargo
         .current_dir(&folder)
-        .env("HAPTIMILL_IMAGE", image)
+        .env("HAPTIMILL_ENCODER_IMAGE", image(Some("encoders"))?)
+        .env("HAPTIMILL_IMAGE", image(None)?)
         .env("HAPTIMILL_PERIOD_US", period_us)
         .args(["test", "--release", "--locked", "--test", "margin", "--"])
         .args(["--nocapture", "--test-threads=1", "--include-ignored"]);

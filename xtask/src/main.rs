@@ -39,14 +39,15 @@ Developer tasks of the project.
   cargo xtask board NAME           build the image of a board (mps2, pico2, stm32), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
-  cargo xtask board NAME --period US   as `board NAME`, with another control period (pico2); also after --uart
+  cargo xtask board NAME --encoders as `board NAME`, with encoders and shift registers (pico2)
+  cargo xtask board NAME --period US   as `board NAME`, with another control period (pico2); also after --uart or --encoders
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs,
-                                   and run the image of the Pico 2 with a simulated mill
-  cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
+                                   and run the images of the Pico 2 with a simulated mill
+  cargo xtask emulator --build     build the emulator and the images, for `haptimill run --port emu:pico2`
   cargo xtask emulator --long      as `emulator`, with the slot of `--slot`, and with homing and straight moves
                                    of three and five joints at 1,000,000 steps/s
   cargo xtask emulator --slot      run the slot of the experiment E7 (examples/e7-slot.ngc) on the

@@ -81,6 +81,17 @@ impl Levels {
     }
 }
 
+/// Levels of both channels from a time on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Edge {
+    /// Time of the edge, ns.
+    pub time_ns: u64,
+    /// Channel A.
+    pub a: bool,
+    /// Channel B.
+    pub b: bool,
+}
+
 /// Counter of an encoder that is simulated edge by edge: the decoder of a board without an encoder
 /// timer.
 #[derive(Debug, Clone)]
@@ -90,6 +101,8 @@ struct EdgeCounter {
     /// Reading of the counter when the decoder started.
     before: EncoderReading,
     edge_time_ns: u32,
+    /// Edges of the channels, if they are recorded.
+    recorded: Option<Vec<Edge>>,
 }
 
 impl EdgeCounter {
@@ -102,6 +115,7 @@ impl EdgeCounter {
             levels,
             before,
             edge_time_ns: before.edge_time_ns,
+            recorded: None,
         }
     }
 
@@ -111,6 +125,12 @@ impl EdgeCounter {
             .feed(levels.a, levels.b, levels.index, time_ns as u32);
         if self.decoder.counts() != counts {
             self.edge_time_ns = time_ns as u32;
+        }
+        let Levels { a, b, .. } = levels;
+        if (a, b) != (self.levels.a, self.levels.b)
+            && let Some(recorded) = &mut self.recorded
+        {
+            recorded.push(Edge { time_ns, a, b });
         }
         self.levels = levels;
     }
@@ -240,12 +260,31 @@ impl Encoder {
             .get_or_insert_with(|| EdgeCounter::new(healthy, self.reading));
     }
 
+    /// Records the edges of both channels from now on, as a board sees them at its pins. Returns
+    /// the present levels of A and B.
+    pub fn record_edges(&mut self) -> (bool, bool) {
+        let healthy = self.healthy_levels(self.state);
+        let edges = self
+            .edges
+            .get_or_insert_with(|| EdgeCounter::new(healthy, self.reading));
+        edges.recorded = Some(Vec::new());
+        (edges.levels.a, edges.levels.b)
+    }
+
+    /// Takes the edges since the last call, oldest first; none without
+    /// [`Encoder::record_edges`].
+    pub fn take_edges(&mut self) -> Vec<Edge> {
+        let recorded = self.edges.as_mut().and_then(|it| it.recorded.as_mut());
+        recorded.map(std::mem::take).unwrap_or_default()
+    }
+
     /// Adds a slip of `counts` to the counter.
     pub fn slip(&mut self, counts: i32) {
         self.reading.counts = self.reading.counts.wrapping_add(counts);
         self.zero -= i64::from(if self.reversed { -counts } else { counts });
         if let Some(edges) = &mut self.edges {
             let reading = edges.reading();
+            let recorded = edges.recorded.take();
             *edges = EdgeCounter::new(
                 edges.levels,
                 EncoderReading {
@@ -253,6 +292,7 @@ impl Encoder {
                     ..reading
                 },
             );
+            edges.recorded = recorded;
         }
     }
 

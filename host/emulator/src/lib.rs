@@ -7,9 +7,12 @@
 //! an image forgot to assign works here. Of the USB it models the device controller by transactions
 //! (patch of `peripherals/usb.rs`), and a host ([`usb_host`]); not the wire and its errors.
 
+pub mod chain;
 pub mod checks;
 pub mod chip;
+pub mod encoders;
 pub mod flash;
 pub mod image;
 pub mod pico2;
+pub mod signals;
 pub mod usb_host;

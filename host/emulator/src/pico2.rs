@@ -1,6 +1,9 @@
 //! A Pico 2 with its pins wired to a simulated machine.
 
+use crate::chain::Chain;
 use crate::chip::{CLOCK_HZ, Chip};
+use crate::encoders::Encoders;
+use crate::signals::Signals;
 use haptimill_client::port::PortError;
 use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
@@ -16,9 +19,6 @@ const FIRST_STEP: u32 = 2;
 const ENABLE: u32 = 12;
 const CHARGE_PUMP: u32 = 13;
 const EMERGENCY_STOP: u32 = 14;
-const FIRST_HOME: u32 = 15;
-const INPUTS: [u32; 2] = [20, 27];
-const ALARM: u32 = 28;
 const CYCLES_PER_US: u64 = CLOCK_HZ / 1_000_000;
 
 /// Control periods within which an image must have started.
@@ -67,6 +67,9 @@ pub struct Pico2 {
     plant: Plant,
     period_us: u32,
     levels: u32,
+    signals: Signals,
+    /// Levels of the pins that are driven from outside.
+    driven: u32,
     /// Level of the emergency stop, besides that of the machine.
     emergency_stop: bool,
     /// A drive reports an alarm, besides those of the machine.
@@ -101,7 +104,8 @@ impl Pico2 {
     ///
     /// # Errors
     /// The emulator cannot be built.
-    pub fn new(flash: &[u8], plant: Plant) -> Result<Self, String> {
+    pub fn new(flash: &[u8], mut plant: Plant) -> Result<Self, String> {
+        let signals = Signals::of(flash, &mut plant);
         let mut board = Self {
             // A tick of the step clock is two cycles, so no edge is lost or rounded differently
             // from the others.
@@ -111,6 +115,8 @@ impl Pico2 {
             period_us: u32::from(plant.period_us()),
             plant,
             levels: 0,
+            signals,
+            driven: 0,
             emergency_stop: false,
             alarm: false,
             high: 0,
@@ -192,7 +198,8 @@ impl Pico2 {
         for _ in 0..BOOT_PERIODS {
             let end = self.chip.cycles() + u64::from(self.period_us) * CYCLES_PER_US;
             while self.chip.cycles() < end {
-                self.chip.cycle()?;
+                let levels = self.chip.cycle()?;
+                self.serve_signals(levels);
             }
             if self.chip.memory(self.record + 4) != 0 {
                 self.read_record();
@@ -218,7 +225,36 @@ impl Pico2 {
         self.noise = pins;
     }
 
-    /// Holds inputs high, one bit a pin, whatever the machine does: an open contact, a broken wire.
+    /// Shift registers and encoders, if the image has them.
+    ///
+    /// # Panics
+    /// It has none.
+    pub fn chain(&mut self) -> (&mut Chain, &mut Encoders) {
+        match &mut self.signals {
+            Signals::Chain(chain) => (&mut chain.0, &mut chain.1),
+            Signals::Pins => panic!("the image has no shift registers"),
+        }
+    }
+
+    /// Drives the pins of shift registers and encoders.
+    fn serve_signals(&mut self, pins: u32) {
+        let levels = self.signals.follow(pins, self.chip.cycles());
+        if let Signals::Chain(_) = self.signals
+            && levels != self.driven & self.signals.mask()
+        {
+            let stop = self.driven & (1 << EMERGENCY_STOP);
+            self.drive(stop | levels);
+        }
+    }
+
+    fn drive(&mut self, levels: u32) {
+        self.driven = levels;
+        let mask = self.signals.mask() | 1 << EMERGENCY_STOP;
+        self.chip.drive(mask, levels);
+    }
+
+    /// Holds inputs high, whatever the machine does: an open contact, a broken wire. One bit a pin;
+    /// of shift registers one bit an input as in [`Chain::inputs`].
     pub fn hold_high(&mut self, pins: u32) {
         self.high = pins;
         self.drive_inputs();
@@ -240,6 +276,11 @@ impl Pico2 {
     #[must_use]
     pub const fn is_enabled(&self) -> bool {
         self.level(ENABLE)
+    }
+
+    /// The machine, for faults.
+    pub const fn plant_mut(&mut self) -> &mut Plant {
+        &mut self.plant
     }
 
     /// The machine.
@@ -290,6 +331,7 @@ impl Pico2 {
             let before = self.steps;
             let levels = self.chip.cycle()?;
             self.serve_wire();
+            self.serve_signals(levels);
             if levels != self.levels {
                 self.note(levels, u64::MAX);
                 if self.steps != before {
@@ -311,6 +353,7 @@ impl Pico2 {
         while self.chip.cycles() < end {
             let levels = self.chip.cycle()?;
             self.serve_wire();
+            self.serve_signals(levels);
             if levels != self.levels {
                 self.note(levels, start);
             }
@@ -326,7 +369,14 @@ impl Pico2 {
             let on = DriveCommand::Steps(StepSegment::default());
             outputs.joints[..self.plant.axes()].fill(on);
         }
+        let start_ns = self.plant.time_ns();
         self.plant.advance(&outputs);
+        if let Signals::Chain(chain) = &mut self.signals {
+            // What happened in this control period is only known now: the edges come a period late.
+            chain
+                .1
+                .follow(&mut self.plant, start_ns, self.chip.cycles());
+        }
         self.drive_inputs();
         Ok(())
     }
@@ -394,29 +444,20 @@ impl Pico2 {
     fn drive_inputs(&mut self) {
         let mut inputs = Inputs::default();
         self.plant.latch(&mut inputs);
-        let mut mask = 1 << EMERGENCY_STOP | 1 << ALARM;
-        let mut levels = 0;
-        let mut set = |pin: u32, high: bool| {
-            mask |= 1 << pin;
-            levels |= u32::from(high) << pin;
-        };
-        set(EMERGENCY_STOP, inputs.emergency_stop || self.emergency_stop);
-        for joint in 0..JOINTS {
-            set(FIRST_HOME + joint as u32, inputs.joints[joint].home);
-        }
-        let alarm = inputs.joints[..self.plant.axes()]
-            .iter()
-            .any(|axis| !axis.drive_ready);
-        set(ALARM, self.alarm || alarm && !inputs.emergency_stop);
-        for (channel, pin) in INPUTS.into_iter().enumerate() {
-            set(pin, inputs.digital >> channel & 1 != 0);
-        }
-        levels |= self.high & mask;
+        let joints = inputs.joints[..self.plant.axes()].iter().enumerate();
+        let alarm = joints
+            .filter(|(_, axis)| self.alarm || !axis.drive_ready && !inputs.emergency_stop)
+            .fold(0, |alarm, (joint, _)| alarm | 1 << joint);
+        let stop = inputs.emergency_stop || self.emergency_stop;
+        let mut levels = u32::from(stop) << EMERGENCY_STOP;
+        levels |= self.high & (1 << EMERGENCY_STOP);
+        levels |= self.signals.set(&inputs, alarm, self.high);
+        levels |= self.signals.follow(self.levels, self.chip.cycles());
         self.is_noisy = !self.is_noisy;
         if self.is_noisy {
             levels ^= self.noise;
         }
-        self.chip.drive(mask, levels);
+        self.drive(levels);
     }
 }
 

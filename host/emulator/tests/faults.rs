@@ -2,12 +2,11 @@
 
 mod common;
 
-use common::{board_with, enabled, mill, session, uart_image};
+use common::{board_with, enabled, fault, mill, session, uart_image};
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
-use haptimill_firmware::controller::Controller;
-use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command, Fault, State};
 
@@ -39,18 +38,6 @@ fn alone(board: &mut Pico2, periods: usize) {
     for _ in 0..periods {
         board.run_period().expect("the emulator runs");
     }
-}
-
-/// The fault of the controller, by the inputs that the board gave it.
-fn fault(board: &Pico2, period_us: u16) -> Option<Fault> {
-    let mut controller = Controller::new(period_us);
-    let mut outputs = Outputs::default();
-    for period in &board.periods {
-        outputs.transmit.clear();
-        controller.tick(&period.inputs, &mut outputs, &mut ());
-        assert_eq!(outputs.joints[..period.commands.len()], period.commands);
-    }
-    controller.safety().fault()
 }
 
 /// Makes the handler of the control period an endless loop.

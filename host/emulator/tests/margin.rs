@@ -5,10 +5,14 @@
 
 mod common;
 
-use common::{enabled, five_in_period, h4_in_period, period_us, three_in_period};
-use haptimill_client::session::{NoObserver, find_home_pose, plan_straight_move};
+use common::{
+    enabled, enabled_with_encoders, five_in_period, five_with_encoders, h4_in_period, period_us,
+    three_in_period, three_with_encoders,
+};
+use haptimill_client::session::{NoObserver, Session, find_home_pose, plan_straight_move};
 use haptimill_emulator::checks::Checks;
-use haptimill_firmware::io::DriveCommand;
+use haptimill_emulator::pico2::Pico2;
+use haptimill_firmware::io::{DriveCommand, Inputs};
 use haptimill_machine_file::MachineFile;
 
 /// Edges that must be compared.
@@ -18,13 +22,27 @@ const LEFT_PERCENT: f64 = 30.0;
 /// Shortest control periods for which that holds with three and with five joints, us.
 const THREE_JOINTS_US: u16 = 250;
 const FIVE_JOINTS_US: u16 = 320;
+/// The same with encoders on three and on four of five joints.
+const THREE_ENCODERS_US: u16 = 250;
+const FIVE_ENCODERS_US: u16 = 400;
 /// The same for the H-4 mill with 3,200 steps/turn.
 const H4_US: u16 = 250;
 
 /// Homes a machine, moves all its coordinates by these, mm or degrees, and back, at a feed or
 /// rapidly; prints the checks, which must pass, with at least this number of edges.
 fn run(machine: &MachineFile, by: &[f64], feed: Option<f64>, edges: u64) -> Checks {
-    let mut session = enabled(machine);
+    run_with(enabled(machine), machine, by, feed, edges)
+}
+
+/// As [`run`], with a board whose drives are on. The counts at the end are those of the encoders of
+/// the machine.
+fn run_with(
+    mut session: Session<Pico2>,
+    machine: &MachineFile,
+    by: &[f64],
+    feed: Option<f64>,
+    edges: u64,
+) -> Checks {
     let model = session.model().clone();
     let home = find_home_pose(machine, &model).expect("a home pose");
     session
@@ -47,6 +65,17 @@ fn run(machine: &MachineFile, by: &[f64], feed: Option<f64>, edges: u64) -> Chec
         session.step().expect("the line works");
     }
     let mut board = session.into_line();
+    let mut truth = Inputs::default();
+    board.plant().latch(&mut truth);
+    let last = board.periods.last().expect("control periods");
+    let pairs = last.inputs.joints.iter().zip(&truth.joints);
+    for (joint, (seen, real)) in pairs.enumerate() {
+        // Edges are a control period late, and the slides tremble by some counts.
+        assert!(
+            (seen.counts - real.counts).abs() <= 20,
+            "joint {joint}: {seen:?}, {real:?}"
+        );
+    }
     let joints = machine.config.joints.len();
     let full = i16::try_from(period_us()).expect("a period") - 2;
     let at_once = board.periods.iter().filter(|period| {
@@ -91,6 +120,26 @@ fn three_joints_at_a_million_steps_per_second_each() {
 fn five_joints_at_a_million_steps_per_second_each() {
     let checks = run(&five_in_period(), &[6.0, 6.0, -6.0, 5.0, 20.0], None, EDGES);
     assert_enough_is_left(&checks, FIVE_JOINTS_US);
+}
+
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --period 320"]
+fn three_joints_with_encoders_at_a_million_steps_per_second_each() {
+    let machine = three_with_encoders();
+    let session = enabled_with_encoders(&machine);
+    let checks = run_with(session, &machine, &[6.0, 6.0, -6.0], None, EDGES);
+    assert_eq!(checks.missed_enabled, 0);
+    assert_enough_is_left(&checks, THREE_ENCODERS_US);
+}
+
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --period 320"]
+fn five_joints_with_encoders_at_a_million_steps_per_second_each() {
+    let machine = five_with_encoders();
+    let session = enabled_with_encoders(&machine);
+    let by = [6.0, 6.0, -6.0, 5.0, 20.0];
+    let checks = run_with(session, &machine, &by, None, EDGES);
+    assert_enough_is_left(&checks, FIVE_ENCODERS_US);
 }
 
 /// All five coordinates of the H-4 mill at once: its joints make fewer steps, and its kinematics

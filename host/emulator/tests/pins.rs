@@ -3,22 +3,21 @@
 
 mod common;
 
+use common::table::{assert_is_set, table};
 use common::{board, board_with, mill, session, uart_image};
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{
     JobRun, JobStatus, NoObserver, find_home_pose, plan_straight_move,
 };
-use haptimill_emulator::chip::Chip;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{program_options, settings};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{Command, Event};
 
-/// Registers of the chip (RP2350 datasheet, 9.11 and 12.5).
-const IO_BANK0: u32 = 0x4002_8000;
-const PADS_BANK0: u32 = 0x4003_8000;
-const SIO_OUTPUT_ENABLE: u32 = 0xD000_0030;
+/// The page with the table.
+const PAGE: &str = include_str!("../../../docs/hardware/pico2.md");
+/// Registers of the chip (RP2350 datasheet, 12.5).
 const PWM_SLICE_2: u32 = 0x400A_8000 + 2 * 0x14;
 /// Cycle counter of the core.
 const CYCLES: u32 = 0xE000_1004;
@@ -29,76 +28,11 @@ const DIRECTION: u32 = 22;
 const LED: u32 = 25;
 const OUTPUT: u32 = 26;
 
-/// Functions of a pin.
-const UART: u32 = 2;
-const PWM: u32 = 4;
-const SOFTWARE: u32 = 5;
-const PIO: [u32; 2] = [6, 7];
-
-/// A row of the table: its pins, and whether they are outputs.
-struct Row {
-    pins: Vec<u32>,
-    directions: Vec<bool>,
-    signal: String,
-}
-
-/// The rows of the table with pins of the chip.
-fn table() -> Vec<Row> {
-    let page = include_str!("../../../docs/hardware/pico2.md");
-    let number = |word: &str| word.trim_matches(',').strip_prefix("GP")?.parse().ok();
-    let (_, table) = page
-        .split_once("| pin | direction | signal |\n")
-        .expect("the page has the table");
-    let rows = table.lines().take_while(|line| line.starts_with('|'));
-    let rows = rows.filter(|line| line.starts_with("| GP"));
-    rows.map(|line| {
-        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-        let [_, pins, directions, signal, _] = cells[..] else {
-            panic!("{line}")
-        };
-        let mut numbers: Vec<u32> = pins.split(' ').filter_map(number).collect();
-        if pins.contains(" to ") {
-            numbers = (numbers[0]..=numbers[1]).collect();
-        }
-        Row {
-            pins: numbers,
-            directions: directions.split(", ").map(|it| it == "out").collect(),
-            signal: signal.to_string(),
-        }
-    })
-    .collect()
-}
-
-/// Asserts that a pin has the function and the pulls of its direction.
-fn assert_is_set(chip: &mut Chip, pin: u32, is_output: bool, has_uart: bool) {
-    let function = chip.register(IO_BANK0 + 4 + 8 * pin) & 0x1F;
-    let pad = chip.register(PADS_BANK0 + 4 + 4 * pin);
-    let by_software = chip.register(SIO_OUTPUT_ENABLE) >> pin & 1 != 0;
-    let (pulls_down, pulls_up) = (pad >> 2 & 1 != 0, pad >> 3 & 1 != 0);
-    let text = format!("GP{pin}: function {function}, pad {pad:#x}, software {by_software}");
-    assert_eq!(pad >> 7 & 0b11, 0, "disabled or isolated, {text}");
-    assert_ne!(pad >> 6 & 1, 0, "the input buffer is off, {text}");
-    if pin < 2 {
-        assert!(has_uart && function == UART && pulls_up, "{text}");
-    } else if is_output {
-        let drives = match function {
-            SOFTWARE => by_software,
-            function => function == PWM || PIO.contains(&function),
-        };
-        // Without a program the line falls.
-        assert!(drives && pulls_down && !pulls_up, "{text}");
-    } else {
-        // A broken wire is high.
-        assert!(function == SOFTWARE && !by_software, "{text}");
-        assert!(pulls_up && !pulls_down, "{text}");
-    }
-}
-
 /// Each pin of the table has its direction, and what it does without a wire.
 #[test]
 fn every_pin_of_the_table_is_set() {
     let machine = mill();
-    let rows = table();
+    let rows = table(PAGE);
     let pins: Vec<u32> = rows.iter().flat_map(|row| row.pins.clone()).collect();
     // All but GP23 to GP25, which the board has for itself.
     let mut sorted = pins.clone();
@@ -138,7 +72,7 @@ fn seen(period: &Period) -> (Vec<bool>, u32, bool, bool) {
 fn each_input_pin_reaches_its_own_signal() {
     let machine = mill();
     let mut board = board(&machine);
-    let rows = table();
+    let rows = table(PAGE);
     let row = |signal: &str| {
         let row = rows.iter().find(|row| row.signal.starts_with(signal));
         row.unwrap_or_else(|| panic!("the table has no {signal}"))

@@ -20,13 +20,14 @@
 //! | 61 | cycles from the start of the period to the end of this record, all handlers included |
 //! | 62 | cycles from the start of the period to the first work of its handler, or 0 |
 //! | 63 | why drives are not ready, four bits per joint |
-//!
-//! The limit switches are not in it.
+//! | 64 to 68 | counts of the encoders, or 0 |
+//! | 69 to 73 | times of their last edges, or 0 |
+//! | 74 | limit switches at the lower ends; from bit 8 those at the upper ends; or 0 |
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 
 /// Words of the record.
-pub const WORDS: usize = 64;
+pub const WORDS: usize = 75;
 /// Joints in it.
 pub const JOINTS: usize = 5;
 
@@ -43,6 +44,20 @@ pub const LATE: usize = 62;
 
 /// Word of the alarms of the drives.
 pub const ALARMS: usize = 63;
+/// First words of the counts and of the times of the edges.
+pub const COUNTS: (usize, usize) = (64, 69);
+/// Word of the limit switches.
+pub const LIMITS: usize = 74;
+
+/// Writes the words 64 to 74, of a board with encoders and limit switches.
+pub fn write_encoders(words: &mut [u32; WORDS], inputs: &Inputs) {
+    words[LIMITS] = 0;
+    for (joint, input) in inputs.joints[..JOINTS].iter().enumerate() {
+        words[COUNTS.0 + joint] = input.counts as u32;
+        words[COUNTS.1 + joint] = input.edge_time_ns;
+        words[LIMITS] |= (u32::from(input.limit_low) | u32::from(input.limit_high) << 8) << joint;
+    }
+}
 
 /// Writes the words 1 to 47 and [`ALARMS`]; `cause` is that of the last reset.
 pub fn write(words: &mut [u32; WORDS], inputs: &Inputs, outputs: &Outputs, cause: u8) {

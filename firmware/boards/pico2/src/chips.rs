@@ -7,12 +7,20 @@ use haptimill_board_cortex::shared::Shared;
 pub type Follower = chips::Follower<'static>;
 
 /// Side of the main loop.
-#[cfg(not(feature = "uart"))]
+#[cfg(not(any(feature = "uart", feature = "encoders")))]
 pub type Keeper = chips::Keeper<'static>;
 
-/// The host has the pins of the bus: a joint with a chip is never ready.
-#[cfg(feature = "uart")]
+/// Other signals have the pins of the bus: a joint with a chip is never ready.
+#[cfg(any(feature = "uart", feature = "encoders"))]
 pub struct Keeper;
+
+/// Without the bus nothing has to be done.
+#[cfg(feature = "encoders")]
+pub async fn serve(_: Keeper) {
+    core::future::pending().await
+}
+#[cfg(not(any(feature = "uart", feature = "encoders")))]
+pub use crate::chip_bus::serve;
 
 // Only `start` uses it, once; its two sides are made for two contexts.
 static CHIPS: Shared<Chips> = Shared::new();
@@ -22,8 +30,8 @@ pub fn start() -> (Follower, Keeper) {
     // SAFETY: called once, so this is the only reference.
     let place = unsafe { CHIPS.place() };
     let chips = place.write(Chips::new());
-    #[cfg(not(feature = "uart"))]
+    #[cfg(not(any(feature = "uart", feature = "encoders")))]
     return chips.split();
-    #[cfg(feature = "uart")]
+    #[cfg(any(feature = "uart", feature = "encoders"))]
     return (chips.without_bus(), Keeper);
 }

@@ -22,8 +22,15 @@ const USB: u32 = if cfg!(feature = "uart") {
 } else {
     1 << 15 | 1 << 28
 };
-/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0, the USB.
-const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26 | USB;
+/// The third PIO block, if it has the encoders.
+const PIO2: u32 = if cfg!(feature = "encoders") {
+    1 << 13
+} else {
+    0
+};
+/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0, the USB, PIO2.
+const USED: u32 =
+    1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26 | USB | PIO2;
 
 /// Present count of the cycle counter.
 #[inline(always)]

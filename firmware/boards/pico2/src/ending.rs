@@ -2,8 +2,8 @@
 //! drives go off, the watchdog resets the chip, and the LED shows the cause after the reset.
 
 use crate::clocks::{CYCLES_PER_US, cycles};
-use crate::pins;
-use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
+use crate::registers::{PSM, WATCHDOG, read, set, write};
+use crate::{pins, steps};
 use core::sync::atomic::{AtomicU8, Ordering};
 use haptimill_board_common::lamp;
 use haptimill_board_common::reset_cause::{Cause, ENDED, RUNNING};
@@ -52,9 +52,7 @@ pub fn feed_watchdog() {
 /// Switches the drives off, keeps the cause, and resets the chip.
 fn end(cause: Cause, place: u32) -> ! {
     cortex_m::interrupt::disable();
-    for block in PIO {
-        write(block, 0x0, 0);
-    }
+    steps::halt();
     pins::make_safe();
     write(WATCHDOG, CAUSE, cause as u32);
     write(WATCHDOG, PLACE, place);

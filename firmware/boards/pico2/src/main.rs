@@ -1,7 +1,8 @@
 //! The Haptimill controller on a Raspberry Pi Pico 2 (RP2350).
 //!
-//! Up to five open-loop step drives, four of which may have a TMC2209 that the board sets. [`pins`]
-//! has the table of the pins.
+//! Up to five open-loop step drives, four of which may have a TMC2209 that the board sets; with the
+//! feature `encoders` four encoders and limit switches instead of the chips. [`pins`] and
+//! [`signals`] have the tables of the pins.
 //!
 //! | module | |
 //! | --- | --- |
@@ -11,7 +12,10 @@
 //! | `uart` | line to the host with the feature `uart`: UART0 |
 //! | [`storage`], [`flash`] | the configuration that is kept in the flash |
 //! | [`chips`] | chips of the drives: what the control period has of them |
-//! | `chip_bus` | their one-wire bus at UART0; not with the feature `uart` |
+//! | `chip_bus` | their one-wire bus at UART0; not with the features `uart` and `encoders` |
+//! | `levels` | [`signals`]: switches, digital inputs and outputs, spindle, each at its pin |
+//! | `chain` | the same with the feature `encoders`: over shift registers |
+//! | `encoders` | encoders with the feature `encoders`: PIO state machines |
 //! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
@@ -22,12 +26,18 @@
 #![no_main]
 
 mod boot_block;
-#[cfg(not(feature = "uart"))]
+#[cfg(feature = "encoders")]
+mod chain;
+#[cfg(not(any(feature = "uart", feature = "encoders")))]
 mod chip_bus;
 mod chips;
 mod clocks;
+#[cfg(feature = "encoders")]
+mod encoders;
 mod ending;
 mod flash;
+#[cfg(not(feature = "encoders"))]
+mod levels;
 mod link;
 mod period;
 mod pins;
@@ -43,6 +53,13 @@ mod usb;
 mod usb_bus;
 mod vectors;
 
+#[cfg(all(feature = "uart", feature = "encoders"))]
+compile_error!("the image with encoders has its line to the host at the USB");
+
+#[cfg(feature = "encoders")]
+use chain as signals;
+#[cfg(not(feature = "encoders"))]
+use levels as signals;
 #[cfg(feature = "uart")]
 use uart as line;
 #[cfg(not(feature = "uart"))]

@@ -7,12 +7,15 @@
 
 use crate::chips::Follower;
 use crate::clocks::{PERIOD_CYCLES, PERIOD_US, cycles};
+#[cfg(feature = "encoders")]
+use crate::encoders::Encoders;
 use crate::ending;
 use crate::line::InPeriod;
 use crate::link::Bytes;
-use crate::pins::{self, JOINTS, Levels};
+use crate::pins::{self, JOINTS};
 use crate::record::{self, Cycles, Start};
 use crate::registers::{SYSTICK, read, write};
+use crate::signals::{Levels, Signals};
 use crate::steps::{Batch, Engine, Filler, requirements};
 use crate::storage;
 use core::mem::MaybeUninit;
@@ -22,7 +25,6 @@ use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
 use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_cortex::shared::Shared;
-use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveAlarm, DriveCommand, Inputs, Outputs};
 
@@ -30,7 +32,9 @@ use haptimill_firmware::io::{DriveAlarm, DriveCommand, Inputs, Outputs};
 struct Front {
     engine: Engine,
     line: InPeriod,
-    filter: InputFilter,
+    signals: Signals,
+    #[cfg(feature = "encoders")]
+    encoders: Encoders,
     spindle: SpindleLines,
     period: u64,
     missed: u16,
@@ -81,7 +85,9 @@ pub fn start(line: InPeriod, bytes: Bytes, chips: Follower) {
         FRONT.place().write(Front {
             engine: Engine::start(),
             line,
-            filter: Levels::read().filter(),
+            signals: Signals::start(),
+            #[cfg(feature = "encoders")]
+            encoders: Encoders::start(),
             spindle: SpindleLines::new(),
             period: 0,
             missed: 0,
@@ -124,19 +130,32 @@ fn SysTick() {
     let at = cycles().wrapping_sub(late);
     // SAFETY: only this handler uses it.
     let front = unsafe { FRONT.get() };
+    #[cfg(feature = "encoders")]
+    let latched = {
+        front.encoders.latch();
+        elapsed()
+    };
     let busy = BUSY.load(Ordering::Acquire);
     // SAFETY: the data belong to this handler while PendSV does not run.
     let mut back = (!busy).then(|| unsafe { BACK.get() });
     let batch = back.as_mut().and_then(|back| back.batch.take());
     front.engine.begin(batch, late);
-    let levels = Levels::read().filtered(&mut front.filter);
+    // 20/3 ns a cycle.
+    #[cfg(feature = "encoders")]
+    front
+        .encoders
+        .read(time_ns(front.period).wrapping_add(latched * 20 / 3));
+    let levels = front.signals.read();
     front.line.exchange();
+    if let Some(back) = &back {
+        apply(front, back);
+    }
+    front.signals.transfer();
     match back {
         None => front.missed = front.missed.saturating_add(1),
         Some(back) => {
-            apply(front, back);
             latch(front, back, levels);
-            back.glitches = front.filter.all_glitches();
+            back.glitches = front.signals.glitches();
             front.missed = 0;
             back.buffer = front.engine.free();
             back.start = Start { at, late };
@@ -160,8 +179,14 @@ fn apply(front: &mut Front, back: &Back) {
     if !on {
         front.engine.clear_lost_steps();
     }
-    pins::set_spindle(&mut front.spindle, outputs.spindle_rpm);
-    pins::set_outputs(outputs.digital);
+    let spindle = front.spindle.update(outputs.spindle_rpm, pins::PWM_COUNTS);
+    front.signals.write(spindle.is_clockwise, outputs.digital);
+    pins::set_duty(spindle.duty);
+}
+
+/// Time of the start of a period, which wraps around.
+const fn time_ns(period: u64) -> u32 {
+    (period as u32).wrapping_mul(PERIOD_US as u32 * 1000)
 }
 
 /// Latches the inputs of the period.
@@ -169,26 +194,29 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     let inputs = &mut back.inputs;
     inputs.period = front.period;
     inputs.missed = front.missed;
-    inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
+    inputs.time_ns = time_ns(front.period);
     let (lost, wrong, chips) = (front.engine.lost(), back.wrong, back.chips.alarms());
     for joint in 0..JOINTS {
         let input = &mut inputs.joints[joint];
         input.steps = front.engine.emitted(joint);
         input.home = levels.home(joint);
+        (input.limit_low, input.limit_high) = levels.limits(joint);
     }
+    #[cfg(feature = "encoders")]
+    front.encoders.write(&mut inputs.joints);
     for (joint, input) in inputs.joints.iter_mut().enumerate() {
         let alarm = match chips.of(joint) {
             _ if wrong >> joint & 1 != 0 => Some(DriveAlarm::Unsupported),
             Some(alarm) => Some(alarm),
             None if lost >> joint & 1 != 0 => Some(DriveAlarm::StepsCut),
-            None => (!levels.drives_ready()).then_some(DriveAlarm::Input),
+            None => (!levels.is_ready(joint)).then_some(DriveAlarm::Input),
         };
         input.drive_ready = alarm.is_none();
         input.alarm = alarm.unwrap_or_default();
     }
     inputs.digital = levels.digital();
     inputs.storage = storage::state();
-    inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();
+    inputs.emergency_stop = pins::emergency_stop() || front.engine.is_stopped();
 }
 
 #[exception]

@@ -38,6 +38,8 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, profile: &Cycles, glitches: u32
     words[STEP_WORDS] = profile.words;
     words[GLITCHES] = glitches;
     words[LATE] = start.late;
+    #[cfg(feature = "encoders")]
+    haptimill_board_common::period_record::write_encoders(words, inputs);
     words[BUSY] = cycles().wrapping_sub(start.at);
     // SAFETY: the word is part of the record. The write is volatile so that it stays the last one.
     unsafe {

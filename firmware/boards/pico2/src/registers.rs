@@ -26,6 +26,9 @@ pub const TICKS: usize = 0x4010_8000;
 pub const DMA: usize = 0x5000_0000;
 /// Programmable I/O, first two blocks.
 pub const PIO: [usize; 2] = [0x5020_0000, 0x5030_0000];
+/// Third block.
+#[cfg(feature = "encoders")]
+pub const PIO2: usize = 0x5040_0000;
 /// Levels of the pins.
 pub const SIO: usize = 0xD000_0000;
 /// SysTick of the core.

@@ -12,14 +12,16 @@
 //! when the circuit is closed.
 
 use crate::clocks::{CYCLES_PER_US, PERIOD_CYCLES, PERIOD_US};
-use crate::pins::{self, JOINTS, Levels};
-use crate::registers::{DMA, PIO, SYSTICK, clear, read, write};
+use crate::pins::{self, JOINTS};
+use crate::registers::{DMA, PIO, SYSTICK, clear, read, set, write};
 use core::cell::UnsafeCell;
 use haptimill_board_common::step_words::{
     CYCLES_PER_TICK, MAX, MIN_WIDTH, PROGRAM, PULSE, STOP, StepWords, WRAP, is_before_pulse,
     width_register,
 };
-use haptimill_firmware::config::Drive;
+#[cfg(feature = "encoders")]
+use haptimill_firmware::config::Home;
+use haptimill_firmware::config::{Drive, JointSettings};
 use haptimill_firmware::io::{DriveCommand, StepSegment};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::MAX_AXES;
@@ -57,6 +59,9 @@ static WORDS: Words = Words {
 const fn place(joint: usize) -> (usize, usize) {
     (joint / 4, joint % 4)
 }
+
+/// State machines of the joints in each block, one bit each.
+const MACHINES: [u32; 2] = [0xF, (1 << (JOINTS - 4)) - 1];
 
 /// Words of a control period.
 #[derive(Clone, Copy)]
@@ -160,8 +165,7 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
                 ..
             } if joint < JOINTS
                 && u32::from(*ticks_per_us) == TICKS_PER_US
-                && axis.encoder.is_none()
-                && !axis.needs_limit_switches() =>
+                && has_inputs(joint, axis) =>
             {
                 widths[joint] = (*pulse).max(MIN_WIDTH);
             }
@@ -169,6 +173,25 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
         }
     }
     (widths, wrong)
+}
+
+/// The board has the inputs that a joint needs.
+#[cfg(feature = "encoders")]
+fn has_inputs(joint: usize, axis: &JointSettings) -> bool {
+    (axis.encoder.is_none() || joint < crate::encoders::ENCODERS)
+        && !matches!(axis.home, Home::Index | Home::SwitchAndIndex(_))
+}
+
+#[cfg(not(feature = "encoders"))]
+fn has_inputs(_: usize, axis: &JointSettings) -> bool {
+    axis.encoder.is_none() && !axis.needs_limit_switches()
+}
+
+/// Stops the state machines of all joints.
+pub fn halt() {
+    for (block, machines) in PIO.into_iter().zip(MACHINES) {
+        clear(block, 0x0, machines);
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -194,8 +217,8 @@ pub struct Engine {
 impl Engine {
     /// Prepares state machines, DMA and pins, and starts the state machines.
     pub fn start() -> Self {
+        halt();
         for block in PIO {
-            write(block, 0x0, 0);
             for (at, word) in PROGRAM.iter().enumerate() {
                 write(block, 0x48 + 4 * at, u32::from(*word));
             }
@@ -299,7 +322,7 @@ impl Engine {
                     // The pulses that the stop found have their width by now.
                     execute(joint, 0xA042); // mov y, y  side 0
                 }
-                self.state = if Levels::read().emergency_stop() {
+                self.state = if pins::emergency_stop() {
                     State::Stopped(0)
                 } else if closed < CLOSED {
                     State::Stopped(closed + 1)
@@ -341,9 +364,7 @@ impl Engine {
     /// Stops all joints after an emergency stop, and subtracts the steps that did not leave.
     fn stop(&mut self) {
         self.state = State::Stopped(0);
-        for block in PIO {
-            write(block, 0x0, 0);
-        }
+        halt();
         for joint in 0..JOINTS {
             let mut unsent = usize::from(unsent_words(joint));
             let mut steps = 0_i32;
@@ -365,9 +386,7 @@ impl Engine {
 
     /// Starts the state machines with the present widths; the next period begins in time.
     fn restart(&mut self) {
-        for block in PIO {
-            write(block, 0x0, 0);
-        }
+        halt();
         for joint in 0..JOINTS {
             let (block, machine) = place(joint);
             let (block, own) = (PIO[block], 0xC8 + 0x18 * machine);
@@ -382,7 +401,7 @@ impl Engine {
             let pins = 1 << 29 | 2 << 26 | 1 << 20 | step << 10 | step << 5 | (step + 1);
             write(block, own + 0x14, pins);
             // Restart of the state machine and of its clock divider.
-            write(block, 0x0, 0x11 << (4 + machine));
+            set(block, 0x0, 0x11 << (4 + machine));
             write(
                 block,
                 0x10 + 4 * machine,
@@ -412,8 +431,7 @@ impl Engine {
             write(PIO[block], 0x10 + 4 * machine, ticks.saturating_sub(3) << 2);
         }
         // All state machines of both blocks in the same cycle.
-        let second = (1 << (JOINTS - 4)) - 1;
-        write(PIO[0], 0x0, 0xF | 1 << 24 | second << 20);
+        write(PIO[0], 0x0, MACHINES[0] | 1 << 24 | MACHINES[1] << 20);
     }
 }
 

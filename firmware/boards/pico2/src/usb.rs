@@ -5,8 +5,7 @@
 //! bytes of the controller they are dropped, as a serial line without a listener drops them: a host
 //! that opens the port later does not get old frames.
 
-use crate::chip_bus;
-use crate::chips::Keeper;
+use crate::chips::{self, Keeper};
 use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::ending::Lamp;
 use crate::link::Wire;
@@ -25,7 +24,11 @@ use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 const IDS: UsbVidPid = UsbVidPid(0x2E8A, 0x0009);
 /// Names that the host shows.
 const MANUFACTURER: &str = "Haptimill";
-const PRODUCT: &str = "Haptimill Pico 2";
+const PRODUCT: &str = if cfg!(feature = "encoders") {
+    "Haptimill encoder Pico 2"
+} else {
+    "Haptimill Pico 2"
+};
 /// Most current from the bus, mA. The drives have a supply of their own.
 const CURRENT_MA: usize = 100;
 
@@ -97,7 +100,7 @@ impl Between {
             count: 0,
             since: cycles(),
         };
-        let mut chips = pin!(chip_bus::serve(keeper));
+        let mut chips = pin!(chips::serve(keeper));
         // The loop polls it again at once: nothing has to wake it.
         let mut context = Context::from_waker(Waker::noop());
         let mut turn = || {

@@ -88,6 +88,7 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         None => board.find_image()?,
     };
     let image = board.read_image(&path)?;
+    board.check_own(&image)?;
     if let Some(machine) = &machine {
         board.check_image(machine, &image)?;
     }

@@ -6,7 +6,7 @@
 pub mod uf2;
 
 use crate::{Error, ErrorKind};
-use haptimill_firmware::config::Drive as JointDrive;
+use haptimill_firmware::config::{Drive as JointDrive, Home};
 use haptimill_machine_file::model::Model;
 use haptimill_machine_file::scale::{PER_COUNT, per_unit};
 use haptimill_machine_file::{MachineFile, input};
@@ -16,7 +16,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A board that takes UF2 files.
+/// A board that takes UF2 files, with one of its images: another wiring is another board.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Board {
     /// Name on the command line.
@@ -44,8 +44,14 @@ pub struct Board {
     /// Its line to the host.
     pub line: &'static str,
     /// Joints with a step drive, and ticks of their step clock in a microsecond. It has no torque
-    /// drives and no encoders.
+    /// drives.
     pub step_drives: (usize, u16),
+    /// Joints from the first on that may have an encoder. It has no inputs for index pulses.
+    pub encoders: usize,
+    /// It reads limit switches.
+    pub has_limit_switches: bool,
+    /// It has the bus of the chips of the drives.
+    pub has_chip_bus: bool,
     /// Largest rate of a joint, steps/s.
     pub step_rate: u32,
     /// Control periods that an image can have, us.
@@ -55,7 +61,9 @@ pub struct Board {
 }
 
 /// All boards that take UF2 files.
-pub const BOARDS: &[Board] = &[Board {
+pub const BOARDS: &[Board] = &[PICO2, PICO2_ENCODERS];
+
+const PICO2: Board = Board {
     name: "pico2",
     title: "Raspberry Pi Pico 2",
     boot_id: "RP2350",
@@ -69,16 +77,52 @@ pub const BOARDS: &[Board] = &[Board {
     baud: 1_000_000,
     line: "its USB port, or, with the image for the UART, GP0 and GP1 at a serial converter",
     step_drives: (5, 75),
+    encoders: 0,
+    has_limit_switches: false,
+    has_chip_bus: true,
     step_rate: 1_000_000,
     periods: &[200, 250, 320, 400, 500],
     digital: (2, 1),
-}];
+};
+
+/// The Pico 2 with encoders and shift registers.
+const PICO2_ENCODERS: Board = Board {
+    name: "pico2-encoders",
+    title: "Raspberry Pi Pico 2 with encoders",
+    usb_product: "Haptimill encoder Pico 2",
+    image: "firmware/boards/pico2/target/thumbv8m.main-none-eabihf/release/haptimill-pico2-encoders.uf2",
+    make: "cargo xtask board pico2 --encoders",
+    line: "its USB port",
+    encoders: 4,
+    has_limit_switches: true,
+    has_chip_bus: false,
+    digital: (4, 7),
+    ..PICO2
+};
 
 impl Board {
     /// Finds a board by name.
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         BOARDS.iter().find(|board| board.name == name)
+    }
+
+    /// The image of a Pico 2 for a machine: the one with encoders if a joint has one, or needs
+    /// limit switches.
+    #[must_use]
+    pub fn of_machine(machine: &MachineFile) -> &'static Self {
+        let mut joints = machine.config.joints.iter();
+        match joints.any(|joint| joint.encoder.is_some() || joint.needs_limit_switches()) {
+            true => &BOARDS[1],
+            false => &BOARDS[0],
+        }
+    }
+
+    /// The board whose name on the USB is in these contents of the flash.
+    #[must_use]
+    pub fn of_flash(flash: &[u8]) -> Option<&'static Self> {
+        let has = |name: &str| flash.windows(name.len()).any(|at| at == name.as_bytes());
+        BOARDS.iter().find(|board| has(board.usb_product))
     }
 
     /// Checks that it can drive a machine.
@@ -94,6 +138,9 @@ impl Board {
         };
         let config = &machine.config;
         if let Some(problem) = self.channels(machine) {
+            return refused(problem);
+        }
+        if let Some(problem) = self.chips(machine) {
             return refused(problem);
         }
         if config.force.is_some() {
@@ -114,6 +161,18 @@ impl Board {
         Ok(())
     }
 
+    /// The first joint with a chip, if the board has no bus for it.
+    fn chips(&self, machine: &MachineFile) -> Option<String> {
+        if self.has_chip_bus {
+            return None;
+        }
+        let name = first_chip(machine)?;
+        Some(format!(
+            "joint {name}: [joint.drive.tmc2209]: the board has no bus for these chips; set them \
+             by their pins and remove the section, or take the image without encoders"
+        ))
+    }
+
     /// The first input or output that the board does not have.
     fn channels(&self, machine: &MachineFile) -> Option<String> {
         let (inputs, outputs) = self.digital;
@@ -124,8 +183,13 @@ impl Board {
         let output = output.map(|(it, name)| ("output", "outputs", it.channel, outputs, name));
         let missing = input.chain(output).find(|it| it.2 >= it.3);
         if let Some((one, all, channel, count, name)) = missing {
-            let own: Vec<String> = (0..count).map(|channel| channel.to_string()).collect();
-            let own = own.join(" and ");
+            let own = match count {
+                0..=2 => {
+                    let own: Vec<String> = (0..count).map(|channel| channel.to_string()).collect();
+                    own.join(" and ")
+                }
+                _ => format!("0 to {}", count - 1),
+            };
             return Some(format!(
                 "{one} {name}: channel = {channel}, but the digital {all} of the board have \
                  channel {own}; use one of them, or remove it"
@@ -152,12 +216,35 @@ impl Board {
                     "ticks_per_us = {ticks_per_us}, but the step clock of the board has {ticks}; \
                      change it here and below [plant]"
                 ),
-                JointDrive::Steps { .. } if config.encoder.is_some() => {
-                    "the board has no encoder inputs; remove its encoder".to_string()
+                JointDrive::Steps { .. } if config.encoder.is_some() && joint >= self.encoders => {
+                    match self.encoders {
+                        0 => "the board has no encoder inputs; remove its encoder, or take the \
+                              image with encoders (`haptimill flash pico2-encoders`)"
+                            .to_string(),
+                        count => format!(
+                            "the board has encoder inputs for {count} joints; remove the encoder \
+                             of this one"
+                        ),
+                    }
                 }
-                JointDrive::Steps { .. } if config.needs_limit_switches() => {
+                JointDrive::Steps { .. }
+                    if matches!(config.home, Home::Index | Home::SwitchAndIndex(_)) =>
+                {
+                    let home = match config.home {
+                        Home::Index => "index",
+                        _ => "switch_and_index",
+                    };
+                    format!(
+                        "home = \"{home}\", but the board has no inputs for index pulses; set \
+                         home = \"switch\" with [joint.switch], or home = \"none\""
+                    )
+                }
+                JointDrive::Steps { .. }
+                    if config.needs_limit_switches() && !self.has_limit_switches =>
+                {
                     "the board has no inputs for limit switches; search the home switch, and leave \
-                     limit_low_active and limit_high_active out"
+                     limit_low_active and limit_high_active out, or take the image with encoders \
+                     (`haptimill flash pico2-encoders`)"
                         .to_string()
                 }
                 JointDrive::Steps { per_step, .. } => {
@@ -185,28 +272,47 @@ impl Board {
         Ok(())
     }
 
-    /// Checks that an image can set the chips of the drives of a machine: one whose line to the
-    /// host is the USB leaves the pins of their bus free.
-    ///
-    /// # Errors
-    /// The first joint with a chip, and what to do.
-    pub fn check_image(&self, machine: &MachineFile, image: &[u8]) -> Result<(), Error> {
-        let joints = machine.config.joints.iter();
-        let chip = joints.zip(&machine.joints);
-        let mut chip = chip
-            .filter(|(joint, _)| joint.tmc2209().is_some())
-            .map(|(_, limits)| &limits.name);
-        let Some(name) = chip.next() else {
-            return Ok(());
-        };
+    /// The board of an image, by its name on the USB; an image for another line has none.
+    fn of_image(&self, image: &[u8]) -> Option<&'static Self> {
         let pieces = uf2::read(image, self.family).unwrap_or_default();
         let flash: Vec<u8> = pieces
             .iter()
             .flat_map(|(_, piece)| *piece)
             .copied()
             .collect();
-        let product = self.usb_product.as_bytes();
-        if flash.windows(product.len()).any(|at| at == product) {
+        Self::of_flash(&flash)
+    }
+
+    /// Checks that an image is not that of another board.
+    ///
+    /// # Errors
+    /// The other board, and what to do.
+    pub fn check_own(&self, image: &[u8]) -> Result<(), Error> {
+        let what = match self.of_image(image) {
+            Some(other) if other != self => format!(
+                "the image is that of {} ({}); give its name, or another image",
+                other.name, other.title
+            ),
+            // Only the board without encoders has an image for another line.
+            None if self.encoders > 0 => format!(
+                "the image has no USB port, or is not that of {} ({}); make it with `{}`",
+                self.name, self.title, self.make
+            ),
+            _ => return Ok(()),
+        };
+        Err(Error::new(ErrorKind::BadInput, what))
+    }
+
+    /// Checks that an image can set the chips of the drives of a machine: one whose line to the
+    /// host is the USB leaves the pins of their bus free.
+    ///
+    /// # Errors
+    /// The first joint with a chip, and what to do.
+    pub fn check_image(&self, machine: &MachineFile, image: &[u8]) -> Result<(), Error> {
+        let Some(name) = first_chip(machine) else {
+            return Ok(());
+        };
+        if self.of_image(image).is_some() {
             return Ok(());
         }
         let what = format!(
@@ -250,6 +356,13 @@ impl Board {
         uf2::read(&bytes, self.family).map_err(|what| bad(&what))?;
         Ok(bytes)
     }
+}
+
+/// Name of the first joint with a chip that the board sets.
+fn first_chip(machine: &MachineFile) -> Option<&str> {
+    let joints = machine.config.joints.iter().zip(&machine.joints);
+    let mut chips = joints.filter(|(joint, _)| joint.tmc2209().is_some());
+    chips.next().map(|(_, limits)| limits.name.as_str())
 }
 
 /// Largest UF2 file: 16 MiB of flash.
@@ -384,14 +497,14 @@ impl Places {
             .collect()
     }
 
-    /// Boards in boot mode on the USB.
+    /// Boards in boot mode on the USB; of those with the same boot ROM the first one.
     #[must_use]
     pub fn boards_in_boot_mode(&self) -> Vec<&'static Board> {
         let devices = self.usb_devices();
-        let boards = BOARDS.iter();
+        let is_there = |board: &&Board| devices.contains(&board.boot_usb);
+        let mut boards: Vec<&Board> = BOARDS.iter().filter(is_there).collect();
+        boards.dedup_by_key(|board| board.boot_id);
         boards
-            .filter(|board| devices.contains(&board.boot_usb))
-            .collect()
     }
 }
 

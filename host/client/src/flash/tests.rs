@@ -1,6 +1,6 @@
 //! Boards in boot mode, as folders of a test.
 
-use super::{BOARDS, Drive, Found, Places, drive_in, unescape};
+use super::{BOARDS, Board, Drive, Found, Places, drive_in, unescape};
 use crate::ErrorKind;
 use haptimill_machine_file::MachineFile;
 use std::fs;
@@ -261,6 +261,100 @@ fn a_machine_file_with_parts_that_the_board_lacks_is_refused() {
         period
             .contains("period_us = 1000, but an image of the board has a control period of 200, "),
         "{period}"
+    );
+}
+
+/// The image with encoders is a board of its own: it has encoders, limit switches and more inputs,
+/// and no index pulses and no bus for the chips of the drives.
+#[test]
+fn a_machine_with_encoders_needs_the_image_with_encoders() {
+    let [plain, encoders] = BOARDS else { panic!() };
+    let parse =
+        |text: &str| MachineFile::parse("own.toml", text).unwrap_or_else(|it| panic!("{it}"));
+    let problem = |board: &Board, text: &str| {
+        let checked = board.check_machine(&parse(text));
+        checked.map_err(|error| error.message)
+    };
+    let mill = include_str!("../../../../machines/mill3.toml");
+    let mill = mill.replace("ticks_per_us = 84", "ticks_per_us = 75");
+    let mill = mill.split("\n[plant]").next().unwrap();
+    assert_eq!(Board::of_machine(&parse(mill)), plain);
+    assert_eq!(problem(encoders, mill), Ok(()), "an encoder is no must");
+    let with_encoder = mill
+        .replacen(
+            "lead_mm = 5.0\n",
+            "lead_mm = 5.0\ncounts_per_turn = 4000\nfollowing_error_mm = 0.3\n\
+             following_error_lag_ms = 10\nencoder_stuck_mm = 0.2\nindex_mm = 0.5\n\
+             search_mm = 1.0\n",
+            1,
+        )
+        .replacen("direction = 1\n", "direction = 1\nlost_mm = 0.1\n", 1)
+        .replacen(
+            "missed_periods = ",
+            "illegal_transitions = 20\nmissed_periods = ",
+            1,
+        );
+    assert_eq!(Board::of_machine(&parse(&with_encoder)), encoders);
+    assert_eq!(problem(encoders, &with_encoder), Ok(()));
+    let refused = problem(plain, &with_encoder).unwrap_err();
+    assert!(
+        refused.contains("joint x: the board has no encoder inputs; remove its encoder, or take"),
+        "{refused}"
+    );
+    let limits = mill.replacen(
+        "home = \"switch\"\n",
+        "home = \"switch\"\nlimit_high_active = \"low\"\n",
+        1,
+    );
+    assert_eq!(Board::of_machine(&parse(&limits)), encoders);
+    assert_eq!(problem(encoders, &limits), Ok(()));
+    let index = with_encoder.replacen("home = \"switch\"\n", "home = \"switch_and_index\"\n", 1);
+    assert_eq!(
+        problem(encoders, &index).unwrap_err(),
+        "own.toml: joint x: home = \"switch_and_index\", but the board has no inputs for index \
+         pulses; set home = \"switch\" with [joint.switch], or home = \"none\" (Raspberry Pi Pico 2 \
+         with encoders)"
+    );
+    let bench = include_str!("../../../../machines/bench.toml");
+    let chip = "direction = 1\n\n[joint.drive.tmc2209]\naddress = 3\nmicrosteps = 16\n\
+                run_current_a = 0.8\nhold_current_a = 0.4\n";
+    let chips = problem(encoders, &bench.replacen("direction = 1\n", chip, 1)).unwrap_err();
+    assert!(
+        chips.contains("joint x: [joint.drive.tmc2209]: the board has no bus for these chips"),
+        "{chips}"
+    );
+    let input = format!(
+        "{mill}\n[[input]]\nname = \"probe\"\nfunction = \"probe\"\nchannel = 4\n\
+         active = \"high\"\ncontact = \"fault\"\n"
+    );
+    let input = problem(encoders, &input).unwrap_err();
+    assert!(input.contains("have channel 0 to 3; use one"), "{input}");
+}
+
+/// An image has the name of its board on the USB; only the image for the UART has none.
+#[test]
+fn an_image_of_another_board_is_refused() {
+    let [plain, encoders] = BOARDS else { panic!() };
+    let image = |board: &Board| {
+        let mut flash = vec![0xFF; 250];
+        flash.extend(board.usb_product.as_bytes());
+        uf2(&flash)
+    };
+    assert_eq!(plain.check_own(&image(plain)), Ok(()));
+    assert_eq!(encoders.check_own(&image(encoders)), Ok(()));
+    assert_eq!(plain.check_own(&uf2(&[0xFF; 600])), Ok(()), "the UART");
+    let refused = |board: &Board, image: &[u8]| board.check_own(image).unwrap_err().message;
+    let other = refused(plain, &image(encoders));
+    assert!(
+        other.contains("the image is that of pico2-encoders"),
+        "{other}"
+    );
+    let other = refused(encoders, &image(plain));
+    assert!(other.contains("the image is that of pico2 ("), "{other}");
+    let none = refused(encoders, &uf2(&[0xFF; 600]));
+    assert!(
+        none.contains("cargo xtask board pico2 --encoders"),
+        "{none}"
     );
 }
 

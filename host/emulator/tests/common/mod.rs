@@ -2,12 +2,17 @@
 
 #![allow(dead_code, reason = "each test uses a part of it")]
 
+pub mod table;
+
 use haptimill_client::client::Options;
 use haptimill_client::session::Session;
 use haptimill_emulator::image::flash;
 use haptimill_emulator::pico2::Pico2;
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::Outputs;
 use haptimill_hil_sim::plant::Plant;
 use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::Fault;
 use std::sync::Arc;
 
 /// Contents of the flash of an image that a variable names.
@@ -27,6 +32,86 @@ pub fn image() -> Vec<u8> {
 /// The image with a UART as its line.
 pub fn uart_image() -> Vec<u8> {
     named("HAPTIMILL_UART_IMAGE")
+}
+
+/// The image with encoders.
+pub fn encoder_image() -> Vec<u8> {
+    named("HAPTIMILL_ENCODER_IMAGE")
+}
+
+/// A machine whose first joints have encoders of this many counts in a turn of their motors.
+pub fn with_encoders(text: &str, joints: usize, counts_per_turn: u32) -> String {
+    let (machine, plant) = text.split_once("\n[plant]").expect("a simulated machine");
+    let mut rotary = false;
+    let mut left = joints;
+    let mut changed = String::new();
+    let of_unit = |text: &str, rotary: bool| match rotary {
+        true => text.replace("_mm", "_deg"),
+        false => text.to_string(),
+    };
+    for line in machine.lines() {
+        let key = line.split(' ').next().unwrap_or_default();
+        match key {
+            // The drives have a kind, too.
+            "kind" if line.contains("rotary") => rotary = true,
+            "kind" if line.contains("linear") => rotary = false,
+            "lead_mm" | "gear_ratio" if left > 0 => {
+                let keys = format!(
+                    "counts_per_turn = {counts_per_turn}\ndirection = 1\n\
+                     following_error_mm = 0.3\nfollowing_error_lag_ms = 10\n\
+                     encoder_stuck_mm = 0.2\nsearch_mm = 0.5\nindex_slack_counts = 0\n"
+                );
+                changed += &of_unit(&keys, rotary);
+            }
+            "preset_mm" | "preset_deg" if left > 0 => {
+                let value = line.split([' ', '#']).nth(2).unwrap_or_default();
+                changed += &of_unit(&format!("index_mm = {value}\n"), rotary);
+            }
+            "ticks_per_us" if left > 0 => {
+                left -= 1;
+                changed += &of_unit("lost_mm = 0.1\n", rotary);
+            }
+            "missed_periods" => changed += "illegal_transitions = 20\n",
+            _ => {}
+        }
+        changed += line;
+        changed.push('\n');
+    }
+    let mut left = joints;
+    let mut preset = String::new();
+    changed += "\n[plant]";
+    for line in plant.lines() {
+        let key = line.split(' ').next().unwrap_or_default();
+        if key == "preset" {
+            preset = line.split(' ').nth(2).unwrap_or_default().to_string();
+        }
+        if key == "start_spread" && left > 0 {
+            left -= 1;
+            let count = format!("counts_per_turn = {counts_per_turn}");
+            changed += &format!("encoder = {{ {count}, index = {preset} }}\n");
+        }
+        changed += line;
+        changed.push('\n');
+    }
+    changed
+}
+
+/// The mill with encoders and limit switches.
+pub fn mill_with_encoders() -> MachineFile {
+    parse(
+        "mill3-encoders.toml",
+        include_str!("../mill3-encoders.toml"),
+    )
+}
+
+/// The motors on the bench, with encoders.
+pub fn bench_with_encoders() -> MachineFile {
+    let text = include_str!("../../../../machines/bench.toml");
+    parse("bench-encoders.toml", &with_encoders(text, 3, 20_000))
+}
+
+fn parse(name: &str, text: &str) -> MachineFile {
+    MachineFile::parse(name, text).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub fn mill() -> MachineFile {
@@ -72,6 +157,13 @@ fn in_period(name: &str, text: &str) -> MachineFile {
     MachineFile::parse(name, &text).unwrap_or_else(|error| panic!("{error}"))
 }
 
+/// The machine of [`five`] with the control period of the image, and encoders on four joints with
+/// as many counts as steps.
+pub fn five_with_encoders() -> MachineFile {
+    let text = with_encoders(include_str!("../five.toml"), 4, 100_000);
+    in_period("five-encoders.toml", &text)
+}
+
 /// The machine of [`five`] with the control period of the image.
 pub fn five_in_period() -> MachineFile {
     in_period("five.toml", include_str!("../five.toml"))
@@ -85,6 +177,19 @@ pub fn h4_in_period() -> MachineFile {
 /// A mill whose three joints search their switches together, and move, at 1,000,000 steps/s each,
 /// with the control period of the image.
 pub fn three_in_period() -> MachineFile {
+    in_period("three.toml", &fast_mill())
+}
+
+/// The machine of [`three_in_period`] with encoders that have as many counts as steps.
+pub fn three_with_encoders() -> MachineFile {
+    in_period(
+        "three-encoders.toml",
+        &with_encoders(&fast_mill(), 3, 100_000),
+    )
+}
+
+/// The mill with joints of 1,000,000 steps/s.
+fn fast_mill() -> String {
     let text = include_str!("../mill3-short.toml");
     let changes = [
         ("home_order = ", "# home_order = "),
@@ -107,7 +212,7 @@ pub fn three_in_period() -> MachineFile {
         assert!(text.contains(from), "mill3-short.toml has no '{from}'");
         text.replace(from, to)
     };
-    in_period("three.toml", &changes.iter().fold(text.to_string(), change))
+    changes.iter().fold(text.to_string(), change)
 }
 
 /// A board with this image whose pins are wired to a machine.
@@ -124,6 +229,18 @@ pub fn board(machine: &MachineFile) -> Pico2 {
     board_with(&image(), machine)
 }
 
+/// The fault of the controller, by the inputs that the board gave it.
+pub fn fault(board: &Pico2, period_us: u16) -> Option<Fault> {
+    let mut controller = Controller::new(period_us);
+    let mut outputs = Outputs::default();
+    for period in &board.periods {
+        outputs.transmit.clear();
+        controller.tick(&period.inputs, &mut outputs, &mut ());
+        assert_eq!(outputs.joints[..period.commands.len()], period.commands);
+    }
+    controller.safety().fault()
+}
+
 /// A session with a board that has its configuration.
 pub fn session(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
     let mut session = Session::new(board, machine, Options::default(), Arc::default());
@@ -136,7 +253,20 @@ pub fn session(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
 
 /// A session with a board whose drives are enabled.
 pub fn enabled(machine: &MachineFile) -> Session<Pico2> {
-    let mut session = session(board(machine), machine);
+    enabled_board(board(machine), machine)
+}
+
+/// As [`enabled`], with the image with encoders, whose inputs are known after a few periods.
+pub fn enabled_with_encoders(machine: &MachineFile) -> Session<Pico2> {
+    let mut board = board_with(&encoder_image(), machine);
+    for _ in 0..10 {
+        board.run_period().expect("the emulator runs");
+    }
+    enabled_board(board, machine)
+}
+
+fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
+    let mut session = session(board, machine);
     session.enable().expect("the drives are ready");
     session
 }

@@ -31,15 +31,11 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// Name of the board.
-const BOARD: &str = "pico2";
 /// Name of the port.
 pub const NAME: &str = "emu:pico2";
 
-/// Program of the emulator, and the command that makes it and the image.
+/// Program of the emulator, and the command that makes it and the images.
 const EMULATOR: &str = "host/emulator/target/release/haptimill-emulator";
-const IMAGE: &str =
-    "firmware/boards/pico2/target/thumbv8m.main-none-eabihf/release/haptimill-pico2.uf2";
 const REMEDY: &str = "make it with `cargo xtask emulator --build` in the source tree";
 
 /// Longest wait for an answer: a control period takes some 10 ms, the start and the checks at the
@@ -83,7 +79,8 @@ pub struct PinLine {
 
 impl PinLine {
     /// Starts the emulator with the machine of a file. `image` replaces the image of the source
-    /// tree; `vcd` is a file for the lines that the board drove.
+    /// tree, which is [that of the machine](Board::of_machine); `vcd` is a file for the lines that
+    /// the board drove.
     ///
     /// # Errors
     /// The board cannot drive the machine; emulator or image are missing, or do not start.
@@ -93,13 +90,12 @@ impl PinLine {
         vcd: Option<&Path>,
     ) -> Result<Self, Error> {
         let failed = |error: io::Error| Error::new(ErrorKind::Port, format!("{NAME}: {error}"));
-        if let Some(board) = Board::named(BOARD) {
-            board.check_machine(machine)?;
-        }
+        let board = Board::of_machine(machine);
+        board.check_machine(machine)?;
         let program = find("HAPTIMILL_EMULATOR", EMULATOR)?;
         let image = match image {
             Some(image) => image.to_path_buf(),
-            None => find("HAPTIMILL_IMAGE", IMAGE)?,
+            None => find("HAPTIMILL_IMAGE", board.image)?,
         };
         let mut command = Command::new(&program);
         command.arg("--image").arg(image);

@@ -6,7 +6,7 @@ use haptimill_firmware::profiler::STAGES;
 use haptimill_protocol::message::Alarms;
 
 use haptimill_board_common::period_record::{
-    ALARMS, BUSY, GLITCHES, LATE, STAGE_WORDS, STEP_WORDS,
+    ALARMS, BUSY, COUNTS, GLITCHES, LATE, LIMITS, STAGE_WORDS, STEP_WORDS,
 };
 pub use haptimill_board_common::period_record::{JOINTS, WORDS};
 
@@ -61,6 +61,10 @@ impl Period {
             if axis < JOINTS {
                 seen.home = words[2] >> axis & 1 != 0;
                 seen.steps = words[22 + axis] as i32;
+                seen.counts = words[COUNTS.0 + axis] as i32;
+                seen.edge_time_ns = words[COUNTS.1 + axis];
+                seen.limit_low = words[LIMITS] >> axis & 1 != 0;
+                seen.limit_high = words[LIMITS] >> (8 + axis) & 1 != 0;
             }
         }
         let commands = core::array::from_fn(|joint| {
