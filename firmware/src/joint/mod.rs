@@ -6,14 +6,14 @@
 //!                                                        --step planner--> pulses       (step/dir)
 //! ```
 //!
-//! The servo loop of a step/dir joint is in its drive. The pulses follow the commanded position, and
-//! the encoder supervises them; [`JointMeasurement::slip`] is their difference. A step/dir joint
-//! without an encoder is open loop: it counts the steps that were emitted, in place of the edges of
-//! an encoder, and nothing supervises whether its motor made them.
+//! The servo loop of a step/dir joint is in its drive. The pulses follow the commanded position,
+//! and the encoder supervises them; [`JointMeasurement::slip`] is their difference. A step/dir
+//! joint without an encoder is open loop: it counts the steps that were emitted, in place of the
+//! edges of an encoder, and nothing supervises whether its motor made them.
 //!
 //! Outputs take effect one period after the inputs were latched. The pulses of a step/dir joint end
 //! at the commanded position at the end of that next period, two periods after the latch. A torque
-//! axis closes its loop on the commanded position of the latch.
+//! joint closes its loop on the commanded position of the latch.
 //!
 //! Callers must call [`JointDrive::measure`] once every period, enabled or not, before
 //! [`JointDrive::servo`]. The commanded position must begin at the coordinate that

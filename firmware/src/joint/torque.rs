@@ -8,11 +8,11 @@
 //! one direction than in the other.
 //!
 //! The rounding error is carried into the next period (first-order error feedback). One code is
-//! worth 0.06 N on a 500 N axis. Without the carry, a loop without an integrator would keep such an
-//! error permanently, and a slow change of effort would come in steps that excite the screw. With
-//! the carry the mean of the codes is exact, and the rounding error lies at half the control rate,
-//! where the mass attenuates it. The carry is dropped when the code is clamped, so nothing winds
-//! up.
+//! worth 0.06 N on a 500 N joint. Without the carry, a loop without an integrator would keep such
+//! an error permanently, and a slow change of effort would come in steps that excite the screw.
+//! With the carry the mean of the codes is exact, and the rounding error lies at half the control
+//! rate, where the mass attenuates it. The carry is dropped when the code is clamped, so nothing
+//! winds up.
 
 use crate::digest::impl_digest;
 use haptimill_math::Effort;
@@ -21,7 +21,7 @@ use haptimill_math::reciprocal::{Factor, Scale};
 /// Largest magnitude of a code.
 pub const CODE_LIMIT: i16 = 8191;
 
-/// Output of one torque axis.
+/// Output of one torque joint.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TorqueOutput {
     /// Codes per effort, Q16; negative if the drive is wired in reverse.
