@@ -63,7 +63,7 @@ pub struct PlateReport {
     /// Mean depth there, mm.
     pub mean_depth_mm: f64,
     /// Greatest depth anywhere, mm.
-    pub greatest_depth_mm: f64,
+    pub max_depth_mm: f64,
 }
 
 impl PlateReport {
@@ -410,7 +410,7 @@ impl Plate {
         let (mut sum, mut count) = (0.0, 0_u64);
         for (slot, &height) in self.heights.iter().enumerate() {
             let depth = -f64::from(height);
-            report.greatest_depth_mm = report.greatest_depth_mm.max(depth);
+            report.max_depth_mm = report.max_depth_mm.max(depth);
             report.asked_mm2 += if asked[slot] { area } else { 0.0 };
             report.unreachable_mm2 += if asked[slot] && !reached[slot] {
                 area

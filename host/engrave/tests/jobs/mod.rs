@@ -60,7 +60,7 @@ fn check(drawing: &Drawing, options: &Options) -> (Job, PlateReport) {
     );
     assert!(report.over_cut_mm2 < 1e-9, "{report:?}");
     assert!(
-        (report.greatest_depth_mm - options.depth_mm).abs() < 1e-6,
+        (report.max_depth_mm - options.depth_mm).abs() < 1e-6,
         "{report:?}"
     );
     (job, report)

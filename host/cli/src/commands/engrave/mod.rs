@@ -371,7 +371,7 @@ fn print_surface(cut: &cut::Cut) {
         cut.surface.depth_mm,
         cut.surface.min_depth_mm,
         cut.surface.mean_depth_mm,
-        cut.surface.greatest_depth_mm
+        cut.surface.max_depth_mm
     );
     print_line!("steps       {}", cut.lost());
 }

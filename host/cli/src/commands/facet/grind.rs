@@ -204,7 +204,7 @@ fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
         json!({
             "pass": it.pass, "facet": name(it.facet), "seconds": it.seconds, "sweeps": it.sweeps,
             "peak_n": force.peak_n, "mean_n": force.mean_n, "turns": force.turns,
-            "least_turn_n": force.min_turn_n, "most_turn_n": force.max_turn_n,
+            "min_turn_n": force.min_turn_n, "max_turn_n": force.max_turn_n,
         })
     });
     json!({
