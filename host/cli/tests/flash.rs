@@ -107,7 +107,11 @@ fn each_missing_step_is_named() {
     let no_image = folder.path("text.uf2");
     let no_file = folder.path("none.uf2");
     let cases: [(&[&str], i32, &str); 6] = [
-        (&["stm32"], 2, "boards that can be flashed: pico2"),
+        (
+            &["mps2"],
+            2,
+            "boards that can be flashed: pico2, pico2-encoders, stm32",
+        ),
         (&["--image", &no_file], 3, "cannot be read"),
         (&["--image", &no_image], 3, "is no UF2 file"),
         (&["--image", &other_chip], 3, "is for another chip"),

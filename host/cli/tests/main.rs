@@ -10,6 +10,8 @@ mod engrave;
 mod facet;
 mod faults;
 mod flash;
+#[cfg(unix)]
+mod flash_programs;
 mod force_settings;
 mod grbl;
 mod identify;

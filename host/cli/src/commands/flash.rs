@@ -1,11 +1,14 @@
-//! `haptimill flash`: writes an image into the flash of a board in boot mode.
+//! `haptimill flash`: writes an image into the flash of a board.
 
 use super::args::seconds;
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::client::Options;
-use haptimill_client::flash::{BOARDS, Board, Drive, Found, Places, drive_in};
+use haptimill_client::flash::program::{Program, SearchPath, Seen, Writer};
+use haptimill_client::flash::{
+    BOARDS, Board, BootRom, Chip, Drive, Found, Places, Writing, drive_in,
+};
 use haptimill_client::port::{self, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, check_period};
 use haptimill_machine_file::MachineFile;
@@ -20,15 +23,17 @@ use std::time::{Duration, Instant};
     long_about = "Write the image into the flash of a board.
 
 Waits for a board in boot mode, whose boot ROM appears as a drive, copies the image, and waits for \
-the restart of the board. With --machine it first checks that the board can drive this machine: \
-joints, step clock, rates, inputs, outputs, control period. It then opens a session on the USB port of the board, or at --port, which \
-checks that the protocol of the board is that of this program. Nothing moves."
+the restart of the board. An image for stm32 is an ELF file: `probe-rs` writes it with an ST-LINK, \
+or `dfu-util` over the USB of the chip, started with BOOT0 high; this was never tried with a real \
+board. With --machine it first checks that the board can drive this machine: joints, step clock, \
+rates, inputs, outputs, control period. It then opens a session on the USB port of the board, or \
+at --port, which checks that the protocol of the board is that of this program. Nothing moves."
 )]
 pub struct FlashArgs {
     /// Board [default: pico2]
     #[arg(default_value = "pico2", value_parser = board, hide_default_value = true)]
     pub board: &'static Board,
-    /// UF2 file [default: the image built in the source tree]
+    /// UF2 file; for stm32 an ELF file [default: the image built in the source tree]
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
     /// Machine file that the board is to drive; a wrong one is refused before the image is written
@@ -37,6 +42,9 @@ pub struct FlashArgs {
     /// Folder of the drive of the boot ROM [default: found by a search]
     #[arg(long, value_name = "FOLDER")]
     pub drive: Option<PathBuf>,
+    /// Program that writes stm32: probe-rs or dfu-util [default: the first that sees a device]
+    #[arg(long, value_name = "PROGRAM", value_parser = program, conflicts_with = "drive")]
+    pub with: Option<Program>,
     /// Port at which the board must answer: a serial port by its path, or tcp:HOST:PORT [default:
     /// its USB port]
     #[arg(long, value_name = "PORT")]
@@ -45,7 +53,7 @@ pub struct FlashArgs {
     #[arg(long, value_name = "N", requires = "port",
           value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
     pub baud: Option<u32>,
-    /// Longest wait for the drive, for the restart, and for the answer, each
+    /// Longest wait for the drive or device, for the restart, and for the answer, each
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     pub wait: f64,
     /// Print the result as JSON
@@ -60,14 +68,21 @@ fn board(name: &str) -> Result<&'static Board, String> {
     })
 }
 
-/// Time between two looks for a drive or a port.
+fn program(name: &str) -> Result<Program, String> {
+    Program::named(name).ok_or_else(|| {
+        let names = Program::ALL.map(Program::name);
+        format!("programs that write an image: {}", names.join(", "))
+    })
+}
+
+/// Time between two looks for a drive, a device or a port.
 const POLL: Duration = Duration::from_millis(200);
 
 /// Writes an image.
 ///
 /// # Errors
-/// The image is wrong for the board, no board is in boot mode, the drive cannot be written, or the
-/// board does not answer.
+/// The image is wrong for the board, no board is in boot mode, the drive cannot be written, the
+/// program that writes the image is missing or fails, or the board does not answer.
 pub fn run(args: &FlashArgs) -> Result<(), CliError> {
     if let Some(port @ (PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins)) =
         &args.port
@@ -76,6 +91,15 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         return Err(CliError::new(Exit::Usage, what));
     }
     let board = args.board;
+    let unfit = match &board.writing {
+        Writing::Drive(_) if args.with.is_some() => "--with: the board needs no program",
+        Writing::Program(_) if args.drive.is_some() => "--drive: the board has no drive",
+        _ => "",
+    };
+    if !unfit.is_empty() {
+        let what = format!("{unfit} ({}); leave it out", board.title);
+        return Err(CliError::new(Exit::Usage, what));
+    }
     let machine = match &args.machine {
         Some(path) => Some(MachineFile::load(path)?),
         None => None,
@@ -93,25 +117,48 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         board.check_image(machine, &image)?;
     }
     let wait = Duration::from_secs_f64(args.wait);
-    let drive = match &args.drive {
-        Some(folder) => drive_in(folder)?,
-        None => find(board, &Places::default(), wait)?,
-    };
-    drive.check(board)?;
     let say = |what: &str| {
         if !args.json {
             print_line!("{what}");
         }
     };
-    let folder = drive.folder.display();
-    say(&format!(
-        "{} to {folder}: {} bytes",
-        path.display(),
-        image.len()
-    ));
-    let name = path.file_name().and_then(|name| name.to_str());
-    drive.write(name.unwrap_or("image.uf2"), &image, wait)?;
-    say("the board has restarted");
+    let (mut drive, mut program) = (None, None);
+    match &board.writing {
+        Writing::Drive(boot_rom) => {
+            let found = match &args.drive {
+                Some(folder) => drive_in(folder)?,
+                None => find(board, boot_rom, &Places::default(), wait)?,
+            };
+            found.check(board)?;
+            let folder = found.folder.display().to_string();
+            say(&format!(
+                "{} to {folder}: {} bytes",
+                path.display(),
+                image.len()
+            ));
+            let name = path.file_name().and_then(|name| name.to_str());
+            found.write(name.unwrap_or("image.uf2"), &image, wait)?;
+            say("the board has restarted");
+            drive = Some(folder);
+        }
+        Writing::Program(chip) => {
+            let writer = find_program(args.with, chip, &SearchPath::of_environment(), wait)?;
+            let name = writer.program.name();
+            say(&format!("{} with {name}", path.display()));
+            let scratch = tempfile::tempdir().map_err(|error| {
+                CliError::new(Exit::Output, format!("temporary folder: {error}"))
+            })?;
+            writer.write(&path, &image, chip, scratch.path())?;
+            say(match writer.program {
+                Program::ProbeRs => "the image is in the flash, and the chip was reset",
+                Program::DfuUtil => {
+                    "the image is in the flash and was started; set BOOT0 low, for the next reset \
+                     starts the boot ROM otherwise"
+                }
+            });
+            program = Some(name);
+        }
+    }
     let port = match &args.port {
         Some(port) => Some(port.clone()),
         None => find_port(board, wait)?,
@@ -137,7 +184,8 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
                 "board": board.name,
                 "image": path.display().to_string(),
                 "bytes": image.len(),
-                "drive": drive.folder.display().to_string(),
+                "drive": drive,
+                "program": program,
                 "port": port.as_ref().map(ToString::to_string),
                 "answer": answer,
             })
@@ -167,11 +215,16 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
 }
 
 /// Waits for the drive of a board in boot mode.
-fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliError> {
+fn find(
+    board: &Board,
+    boot_rom: &BootRom,
+    places: &Places,
+    wait: Duration,
+) -> Result<Drive, CliError> {
     let end = Instant::now() + wait;
     let mut is_announced = false;
     loop {
-        let found = places.find(board);
+        let found = places.find(boot_rom);
         let what = match found {
             Found::Mounted(drive) => return Ok(drive),
             Found::Several(folders) => {
@@ -197,7 +250,32 @@ fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliErro
                  folder with --drive",
                 board.title
             ),
-            Found::Nothing => format!("no {} is in boot mode: {}", board.title, board.boot_mode),
+            Found::Nothing => format!("no {} is in boot mode: {}", board.title, boot_rom.start),
+        };
+        if Instant::now() >= end {
+            return Err(CliError::new(Exit::Port, what));
+        }
+        if !is_announced {
+            eprintln!("{what}");
+            is_announced = true;
+        }
+        std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
+    }
+}
+
+/// Waits for a device that a program can write.
+fn find_program(
+    with: Option<Program>,
+    chip: &Chip,
+    path: &SearchPath,
+    wait: Duration,
+) -> Result<Writer, CliError> {
+    let end = Instant::now() + wait;
+    let mut is_announced = false;
+    loop {
+        let what = match path.find(with, chip)? {
+            Seen::Device(writer) => return Ok(writer),
+            Seen::Nothing(what) => what,
         };
         if Instant::now() >= end {
             return Err(CliError::new(Exit::Port, what));
@@ -212,6 +290,9 @@ fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliErro
 
 /// Waits for the USB port of a board; none appears with an image for another line.
 fn find_port(board: &Board, wait: Duration) -> Result<Option<PortSpec>, CliError> {
+    if board.usb.is_none() {
+        return Ok(None);
+    }
     let end = Instant::now() + wait;
     loop {
         let ports = port::list_of(board)?;

@@ -1,12 +1,16 @@
-//! Writes an image into the flash of a board whose boot ROM appears as a drive.
+//! Writes an image into the flash of a board: onto the drive of its boot ROM, or with a program.
 //!
-//! The boot ROM has a file `INFO_UF2.TXT` with the name of its chip. It writes the blocks of a UF2
-//! file into the flash as they arrive, restarts after the last one, and its drive disappears.
+//! A boot ROM with a drive has a file `INFO_UF2.TXT` with the name of its chip. It writes the
+//! blocks of a UF2 file into the flash as they arrive, restarts after the last one, and its drive
+//! disappears.
 
 mod board;
+pub mod elf;
+mod machine;
+pub mod program;
 pub mod uf2;
 
-pub use board::{BOARDS, Board};
+pub use board::{BOARDS, Board, BootRom, Chip, UsbPort, Writing};
 
 use crate::{Error, ErrorKind};
 use std::fs::{self, File};
@@ -104,23 +108,23 @@ impl Places {
 
     /// Looks for a board in boot mode.
     #[must_use]
-    pub fn find(&self, board: &Board) -> Found {
+    pub fn find(&self, boot_rom: &BootRom) -> Found {
         let drives = self.mounted().into_iter();
         let drives: Vec<Drive> = drives.filter_map(|folder| drive_in(&folder).ok()).collect();
         let (mut own, other): (Vec<Drive>, Vec<Drive>) = drives
             .into_iter()
-            .partition(|drive| drive.boot_id == board.boot_id);
+            .partition(|drive| drive.boot_id == boot_rom.id);
         if own.len() > 1 {
             return Found::Several(own.into_iter().map(|drive| drive.folder).collect());
         }
         if let Some(drive) = own.pop() {
             return Found::Mounted(drive);
         }
-        let device = self.labels.join(board.boot_id);
+        let device = self.labels.join(boot_rom.id);
         if device.exists() {
             return Found::NotMounted(device);
         }
-        if self.usb_devices().contains(&board.boot_usb) {
+        if self.usb_devices().contains(&boot_rom.usb) {
             return Found::NoDrive;
         }
         let mut other = other.into_iter();
@@ -147,10 +151,13 @@ impl Places {
     #[must_use]
     pub fn boards_in_boot_mode(&self) -> Vec<&'static Board> {
         let devices = self.usb_devices();
-        let is_there = |board: &&Board| devices.contains(&board.boot_usb);
-        let mut boards: Vec<&Board> = BOARDS.iter().filter(is_there).collect();
-        boards.dedup_by_key(|board| board.boot_id);
-        boards
+        let boot_roms = BOARDS.iter().map(|board| (board, board.boot_rom()));
+        let is_there = |it: &BootRom| devices.contains(&it.usb);
+        let mut found: Vec<_> = boot_roms
+            .filter(|(_, boot_rom)| boot_rom.is_some_and(is_there))
+            .collect();
+        found.dedup_by_key(|(_, boot_rom)| boot_rom.map(|it| it.id));
+        found.into_iter().map(|(board, _)| board).collect()
     }
 }
 
@@ -184,16 +191,16 @@ impl Drive {
     /// # Errors
     /// It is the drive of another chip.
     pub fn check(&self, board: &Board) -> Result<(), Error> {
-        if self.boot_id == board.boot_id {
+        let own = board.boot_rom().map_or("none", |boot_rom| boot_rom.id);
+        if self.boot_id == own {
             return Ok(());
         }
         let what = format!(
-            "{}: the board in boot mode has the chip {}; {} ({}) has {}",
+            "{}: the board in boot mode has the chip {}; {} ({}) has {own}",
             self.folder.display(),
             self.boot_id,
             board.name,
-            board.title,
-            board.boot_id
+            board.title
         );
         Err(Error::new(ErrorKind::BadInput, what))
     }

@@ -58,7 +58,7 @@ impl Computer {
     }
 
     fn find(&self) -> Found {
-        self.places().find(&BOARDS[0])
+        self.places().find(BOARDS[0].boot_rom().unwrap())
     }
 }
 
@@ -268,7 +268,9 @@ fn a_machine_file_with_parts_that_the_board_lacks_is_refused() {
 /// and no index pulses and no bus for the chips of the drives.
 #[test]
 fn a_machine_with_encoders_needs_the_image_with_encoders() {
-    let [plain, encoders] = BOARDS else { panic!() };
+    let [plain, encoders, _] = BOARDS else {
+        panic!()
+    };
     let parse =
         |text: &str| MachineFile::parse("own.toml", text).unwrap_or_else(|it| panic!("{it}"));
     let problem = |board: &Board, text: &str| {
@@ -334,10 +336,12 @@ fn a_machine_with_encoders_needs_the_image_with_encoders() {
 /// An image has the name of its board on the USB; only the image for the UART has none.
 #[test]
 fn an_image_of_another_board_is_refused() {
-    let [plain, encoders] = BOARDS else { panic!() };
+    let [plain, encoders, _] = BOARDS else {
+        panic!()
+    };
     let image = |board: &Board| {
         let mut flash = vec![0xFF; 250];
-        flash.extend(board.usb_product.as_bytes());
+        flash.extend(board.usb.as_ref().unwrap().product.as_bytes());
         uf2(&flash)
     };
     assert_eq!(plain.check_own(&image(plain)), Ok(()));
@@ -385,7 +389,7 @@ fn uf2(flash: &[u8]) -> Vec<u8> {
             piece.len() as u32,
             number as u32,
             pieces.len() as u32,
-            BOARDS[0].family,
+            BOARDS[0].boot_rom().unwrap().family,
         ];
         for (at, word) in words.into_iter().enumerate() {
             block[4 * at..4 * at + 4].copy_from_slice(&word.to_le_bytes());

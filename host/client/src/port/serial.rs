@@ -1,7 +1,7 @@
 //! Serial ports and pseudo-terminals.
 
 use super::{PortError, Transport, is_quiet};
-use crate::flash::{BOARDS, Board};
+use crate::flash::{BOARDS, Board, UsbPort};
 use serialport::{ErrorKind, SerialPort, SerialPortInfo, SerialPortType};
 use std::io::ErrorKind as IoKind;
 use std::time::Duration;
@@ -179,7 +179,10 @@ fn is_board(kind: &SerialPortType, board: &Board) -> bool {
     let SerialPortType::UsbPort(usb) = kind else {
         return false;
     };
-    (usb.vid, usb.pid) == board.usb && usb.product.as_deref() == Some(board.usb_product)
+    let is_own = |own: &UsbPort| {
+        (usb.vid, usb.pid) == own.ids && usb.product.as_deref() == Some(own.product)
+    };
+    board.usb.as_ref().is_some_and(is_own)
 }
 
 fn available() -> Result<Vec<SerialPortInfo>, PortError> {
