@@ -168,6 +168,9 @@ impl Inputs {
     /// Drives that are not ready, and why.
     #[must_use]
     pub fn alarms(&self) -> Alarms {
+        if self.joints.iter().all(|seen| seen.drive_ready) {
+            return Alarms::default();
+        }
         let joints = self.joints.iter().enumerate();
         joints.fold(Alarms::default(), |alarms, (joint, seen)| {
             alarms.with(joint, (!seen.drive_ready).then_some(seen.alarm))

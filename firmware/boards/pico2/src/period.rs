@@ -204,15 +204,18 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     }
     #[cfg(feature = "encoders")]
     front.encoders.write(&mut inputs.joints);
+    let broken = lost | wrong | if chips.is_empty() { 0 } else { chips.joints() };
     for (joint, input) in inputs.joints.iter_mut().enumerate() {
-        let alarm = match chips.of(joint) {
-            _ if wrong >> joint & 1 != 0 => Some(DriveAlarm::Unsupported),
-            Some(alarm) => Some(alarm),
-            None if lost >> joint & 1 != 0 => Some(DriveAlarm::StepsCut),
-            None => (!levels.is_ready(joint)).then_some(DriveAlarm::Input),
-        };
-        input.drive_ready = alarm.is_none();
-        input.alarm = alarm.unwrap_or_default();
+        input.drive_ready = levels.is_ready(joint) && broken >> joint & 1 == 0;
+        // The reason is looked for only where there is one: this runs in every control period.
+        if !input.drive_ready {
+            input.alarm = match chips.of(joint) {
+                _ if wrong >> joint & 1 != 0 => DriveAlarm::Unsupported,
+                Some(alarm) => alarm,
+                None if lost >> joint & 1 != 0 => DriveAlarm::StepsCut,
+                None => DriveAlarm::Input,
+            };
+        }
     }
     inputs.digital = levels.digital();
     inputs.storage = storage::state();
