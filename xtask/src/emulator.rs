@@ -23,6 +23,10 @@ const ENCODERS: Variant<'_> = Variant {
     option: Some("encoders"),
     period_us: None,
 };
+const PERIOD_320_US: Variant<'_> = Variant {
+    option: None,
+    period_us: Some("320"),
+};
 
 /// What is done with the repaired emulator.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -50,6 +54,8 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     if matches!(task, Task::Test | Task::LongTest) {
         let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
         cargo.env("HAPTIMILL_UART_IMAGE", image);
+        let image = board.uf2(&board.build_variant(root, true, &PERIOD_320_US)?)?;
+        cargo.env("HAPTIMILL_320_US_IMAGE", image);
     }
     if task != Task::Slot {
         let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;

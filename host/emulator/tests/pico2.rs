@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{board, enabled, five, mill, session};
+use common::{board, enabled, enabled_in_320_us, five_in_320_us, mill, session};
 use haptimill_client::session::pins::record::JOINTS;
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
@@ -13,6 +13,8 @@ use haptimill_protocol::message::Command;
 
 /// Control periods of the test: 0.5 s, in which the mill searches its first switch.
 const PERIODS: usize = 2500;
+/// Cycles of a control period of 320 us, in which five joints move at 1,000,000 steps/s each.
+const PERIOD_CYCLES: u64 = 48_000;
 /// Control periods until a stopped joint is at standstill.
 const STANDSTILL: usize = 500;
 
@@ -89,7 +91,7 @@ fn reach_full_rate(session: &mut Session<Pico2>) {
         let before = session.line_mut().steps;
         session.step().expect("the line works");
         let steps = session.line_mut().steps.iter().zip(before);
-        fast_periods = match { steps }.all(|(now, before)| (now - before).abs() > 196) {
+        fast_periods = match { steps }.all(|(now, before)| (now - before).abs() > 314) {
             true => fast_periods + 1,
             false => 0,
         };
@@ -104,12 +106,9 @@ fn reach_full_rate(session: &mut Session<Pico2>) {
 #[test]
 fn a_stop_that_one_joint_does_not_see_stops_all() {
     const STOP_CYCLES: u64 = 8;
-    let mut text = include_str!("five.toml").to_string();
     // Pulses of 30 cycles, and of 60 cycles of the other joints.
-    text = text.replacen("pulse_us = 0.4", "pulse_us = 0.2", 2);
-    text = text.replacen("pulse_ns = 400.0", "pulse_ns = 200.0", 2);
-    let machine = MachineFile::parse("five.toml", &text).unwrap_or_else(|error| panic!("{error}"));
-    let mut session = enabled(&machine);
+    let machine = five_in_320_us(0.2);
+    let mut session = enabled_in_320_us(&machine);
     // Three joints are in their pulse at the first moment, and none at the second.
     for after_edge in [40, 70] {
         let _homing = Homing::start(&mut session);
@@ -121,7 +120,9 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
         board.set_emergency_stop(true);
         board.run_cycles(STOP_CYCLES).expect("the emulator runs");
         board.set_emergency_stop(false);
-        let last = board.run_cycles(30_000 * 10).expect("the emulator runs");
+        let last = board
+            .run_cycles(PERIOD_CYCLES * 10)
+            .expect("the emulator runs");
         let late = last.map_or(0, |last| last - from);
         println!("{after_edge}: last edge {late} cycles after the pin");
         for _ in 0..20 {
@@ -137,7 +138,7 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
         let counted: Vec<i64> = counted.map(|axis| axis.steps.into()).collect();
         assert_eq!(counted, board.steps, "{after_edge} cycles after an edge");
         // The control period in which it was, and the one that finds it.
-        assert!(late <= 2 * 30_000, "{late} cycles");
+        assert!(late <= 2 * PERIOD_CYCLES, "{late} cycles");
         for _ in 0..400 {
             session.step().expect("the line works");
         }
@@ -150,9 +151,9 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
 /// last edge.
 fn last_edge_after_the_pin(before_edges: &[u64]) -> u64 {
     const CYCLES_PER_US: u64 = 150;
-    let machine = five();
+    let machine = five_in_320_us(0.4);
     let mut worst = 0;
-    let mut session = enabled(&machine);
+    let mut session = enabled_in_320_us(&machine);
     for &before_edge in before_edges {
         let _homing = Homing::start(&mut session);
         reach_full_rate(&mut session);
@@ -164,7 +165,7 @@ fn last_edge_after_the_pin(before_edges: &[u64]) -> u64 {
         let from = board.cycles();
         board.set_emergency_stop(true);
         let last = board
-            .run_cycles(30_000 * 10)
+            .run_cycles(PERIOD_CYCLES * 10)
             .expect("the emulator runs")
             .unwrap_or(from);
         let late = last - from;

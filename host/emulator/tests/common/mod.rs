@@ -256,6 +256,24 @@ pub fn enabled(machine: &MachineFile) -> Session<Pico2> {
     enabled_board(board(machine), machine)
 }
 
+/// The machine of [`five`] with a control period of 320 us, in which its joints can move at
+/// 1,000,000 steps/s each without a missed period, and pulses of the first two of this length.
+pub fn five_in_320_us(pulse_us: f64) -> MachineFile {
+    let text = include_str!("../five.toml").replacen("period_us = 200", "period_us = 320", 1);
+    let text = text.replacen("pulse_us = 0.4", &format!("pulse_us = {pulse_us}"), 2);
+    let ns = format!("pulse_ns = {:.1}", 1000.0 * pulse_us);
+    let text = text.replacen("pulse_ns = 400.0", &ns, 2);
+    MachineFile::parse("five.toml", &text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// As [`enabled`], with the image whose control period is 320 us.
+pub fn enabled_in_320_us(machine: &MachineFile) -> Session<Pico2> {
+    enabled_board(
+        board_with(&named("HAPTIMILL_320_US_IMAGE"), machine),
+        machine,
+    )
+}
+
 /// As [`enabled`], with the image with encoders, whose inputs are known after a few periods.
 pub fn enabled_with_encoders(machine: &MachineFile) -> Session<Pico2> {
     let mut board = board_with(&encoder_image(), machine);
