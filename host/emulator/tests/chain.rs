@@ -53,7 +53,7 @@ fn every_pin_of_the_table_is_set() {
     assert_eq!(pins, (0..=22).chain(26..=28).collect::<Vec<u32>>());
 }
 
-/// What the controller is told: home switches, both limit switches, alarms, digital inputs.
+/// What the controller gets: home switches, both limit switches, alarms, digital inputs.
 type Seen = ([[bool; 4]; 5], u32);
 
 fn seen(board: &mut Pico2, periods: usize) -> Vec<Seen> {

@@ -54,7 +54,7 @@ fn every_pin_of_the_table_is_set() {
     }
 }
 
-/// What the controller is told: home switches, digital inputs, emergency stop, drives that are
+/// What the controller gets: home switches, digital inputs, emergency stop, drives that are
 /// ready.
 fn seen(period: &Period) -> (Vec<bool>, u32, bool, bool) {
     let joints = &period.inputs.joints;
