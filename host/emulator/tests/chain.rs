@@ -4,7 +4,10 @@
 mod common;
 
 use common::table::{assert_is_set, table};
-use common::{bench_with_encoders, board_with, encoder_image, fault, image, session};
+use common::{
+    UNDEFINED_INSTRUCTION, bench_with_encoders, board_with, encoder_image, fault, image,
+    replace_period, session,
+};
 use haptimill_client::session::{
     JobRun, JobStatus, NoObserver, find_home_pose, plan_straight_move,
 };
@@ -19,9 +22,6 @@ const PAGE: &str = include_str!("../../../docs/hardware/pico2-encoders.md");
 
 /// Channel A of the PWM slice of GP0.
 const PWM_SLICE_0: u32 = 0x400A_8000;
-/// Entry of PendSV in the vector table, and an undefined instruction.
-const PEND_SV: u32 = 0x1000_0038;
-const UNDEFINED: u32 = 0xDE00;
 /// 100 % is 24,000 rev/min.
 const COUNTS: u32 = 15_000;
 
@@ -182,17 +182,6 @@ fn a_limit_switch_stops_the_machine() {
     assert_eq!(reason, Some(Fault::LimitSwitch { joint: 1 }));
 }
 
-/// Makes the first instruction of the handler of the control period an undefined one.
-fn patch(board: &mut Pico2) {
-    let handler = board.chip().memory(PEND_SV) & !1;
-    let word = handler & !3;
-    let code = match handler & 2 {
-        0 => board.chip().memory(word) & 0xFFFF_0000 | UNDEFINED,
-        _ => board.chip().memory(word) & 0xFFFF | UNDEFINED << 16,
-    };
-    board.chip().set_code(word, code);
-}
-
 /// A part program switches spindle and outputs; the direction changes with a duty of 0 only. A
 /// fault of the processor switches all off.
 #[test]
@@ -243,7 +232,7 @@ fn spindle_and_outputs_follow_the_program() {
     ];
     assert_eq!(states, expected);
     let board = session.line_mut();
-    patch(board);
+    replace_period(board, UNDEFINED_INSTRUCTION);
     for _ in 0..10 {
         run(board, 1);
         if board.chip().resets() == 1 {

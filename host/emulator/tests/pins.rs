@@ -4,7 +4,10 @@
 mod common;
 
 use common::table::{assert_is_set, table};
-use common::{board, board_with, mill, session, uart_image};
+use common::{
+    ENDLESS_LOOP, UNDEFINED_INSTRUCTION, board, board_with, mill, replace_period, session,
+    uart_image,
+};
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{
     JobRun, JobStatus, NoObserver, find_home_pose, plan_straight_move,
@@ -21,8 +24,6 @@ const PAGE: &str = include_str!("../../../docs/hardware/pico2.md");
 const PWM_SLICE_2: u32 = 0x400A_8000 + 2 * 0x14;
 /// Cycle counter of the core.
 const CYCLES: u32 = 0xE000_1004;
-/// Entry of PendSV in the vector table.
-const PEND_SV: u32 = 0x1000_0038;
 
 const DIRECTION: u32 = 22;
 const LED: u32 = 25;
@@ -315,27 +316,19 @@ fn flashes(board: &mut Pico2) -> u32 {
     panic!("the LED does not flash with pauses");
 }
 
-/// Replaces the first instruction of the handler of the control period.
-fn patch(board: &mut Pico2, half: u32) {
-    let handler = board.chip().memory(PEND_SV) & !1;
-    let word = handler & !3;
-    let code = match handler & 2 {
-        0 => board.chip().memory(word) & 0xFFFF_0000 | half,
-        _ => board.chip().memory(word) & 0xFFFF | half << 16,
-    };
-    board.chip().set_code(word, code);
-}
-
 /// The LED flashes once after power-on, twice after a control period that did not end, and four
 /// times after a fault of the processor.
 #[test]
 fn the_led_shows_the_cause_of_the_last_reset() {
-    // A branch to itself; an undefined instruction.
-    for (half, expected) in [(None, 1), (Some(0xE7FE), 2), (Some(0xDE00), 4)] {
+    for (code, expected) in [
+        (None, 1),
+        (Some(ENDLESS_LOOP), 2),
+        (Some(UNDEFINED_INSTRUCTION), 4),
+    ] {
         let machine = mill();
         let mut board = board(&machine);
-        if let Some(half) = half {
-            patch(&mut board, half);
+        if let Some(code) = code {
+            replace_period(&mut board, code);
             for _ in 0..200 {
                 board.run_period().expect("the emulator runs");
                 if board.chip().resets() == 1 {

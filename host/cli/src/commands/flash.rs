@@ -214,6 +214,30 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// Looks again until `look` finds something. Prints once what is missing; after `wait` that is the
+/// error.
+fn wait_for<T>(
+    wait: Duration,
+    look: impl Fn() -> Result<Result<T, String>, CliError>,
+) -> Result<T, CliError> {
+    let end = Instant::now() + wait;
+    let mut is_announced = false;
+    loop {
+        let missing = match look()? {
+            Ok(found) => return Ok(found),
+            Err(missing) => missing,
+        };
+        if Instant::now() >= end {
+            return Err(CliError::new(Exit::Port, missing));
+        }
+        if !is_announced {
+            eprintln!("{missing}");
+            is_announced = true;
+        }
+        std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
+    }
+}
+
 /// Waits for the drive of a board in boot mode.
 fn find(
     board: &Board,
@@ -221,12 +245,9 @@ fn find(
     places: &Places,
     wait: Duration,
 ) -> Result<Drive, CliError> {
-    let end = Instant::now() + wait;
-    let mut is_announced = false;
-    loop {
-        let found = places.find(boot_rom);
-        let what = match found {
-            Found::Mounted(drive) => return Ok(drive),
+    wait_for(wait, || {
+        Ok(Err(match places.find(boot_rom) {
+            Found::Mounted(drive) => return Ok(Ok(drive)),
             Found::Several(folders) => {
                 let folders: Vec<String> =
                     folders.iter().map(|it| it.display().to_string()).collect();
@@ -238,7 +259,7 @@ fn find(
             }
             Found::OtherChip(drive) => {
                 drive.check(board)?;
-                return Ok(drive);
+                return Ok(Ok(drive));
             }
             Found::NotMounted(device) => format!(
                 "the drive of the board is not mounted: `udisksctl mount -b {}`, or mount it and \
@@ -251,16 +272,8 @@ fn find(
                 board.title
             ),
             Found::Nothing => format!("no {} is in boot mode: {}", board.title, boot_rom.start),
-        };
-        if Instant::now() >= end {
-            return Err(CliError::new(Exit::Port, what));
-        }
-        if !is_announced {
-            eprintln!("{what}");
-            is_announced = true;
-        }
-        std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
-    }
+        }))
+    })
 }
 
 /// Waits for a device that a program can write.
@@ -270,22 +283,12 @@ fn find_program(
     path: &SearchPath,
     wait: Duration,
 ) -> Result<Writer, CliError> {
-    let end = Instant::now() + wait;
-    let mut is_announced = false;
-    loop {
-        let what = match path.find(with, chip)? {
-            Seen::Device(writer) => return Ok(writer),
-            Seen::Nothing(what) => what,
-        };
-        if Instant::now() >= end {
-            return Err(CliError::new(Exit::Port, what));
-        }
-        if !is_announced {
-            eprintln!("{what}");
-            is_announced = true;
-        }
-        std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
-    }
+    wait_for(wait, || {
+        Ok(match path.find(with, chip)? {
+            Seen::Device(writer) => Ok(writer),
+            Seen::Nothing(missing) => Err(missing),
+        })
+    })
 }
 
 /// Waits for the USB port of a board; none appears with an image for another line.

@@ -15,6 +15,24 @@ use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Fault;
 use std::sync::Arc;
 
+/// Entry of PendSV in the vector table.
+const PEND_SV: u32 = 0x1000_0038;
+/// A branch to itself.
+pub const ENDLESS_LOOP: u32 = 0xE7FE;
+/// An instruction that is a fault of the processor.
+pub const UNDEFINED_INSTRUCTION: u32 = 0xDE00;
+
+/// Replaces the first instruction of the handler of the control period.
+pub fn replace_period(board: &mut Pico2, instruction: u32) {
+    let handler = board.chip().memory(PEND_SV) & !1;
+    let word = handler & !3;
+    let code = match handler & 2 {
+        0 => board.chip().memory(word) & 0xFFFF_0000 | instruction,
+        _ => board.chip().memory(word) & 0xFFFF | instruction << 16,
+    };
+    board.chip().set_code(word, code);
+}
+
 /// Contents of the flash of an image that a variable names.
 fn named(variable: &str) -> Vec<u8> {
     let path = std::env::var(variable).unwrap_or_else(|_| {
@@ -148,11 +166,8 @@ pub fn period_us() -> u16 {
 /// A machine with the control period of the image. All of them are multiples of the shorter step of
 /// the simulated machine.
 fn in_period(name: &str, text: &str) -> MachineFile {
-    let text = text.replacen(
-        "period_us = 200",
-        &format!("period_us = {}", period_us()),
-        1,
-    );
+    let own = format!("period_us = {}", period_us());
+    let text = text.replacen("period_us = 200", &own, 1);
     let text = text.replacen("substep_us = 20", "substep_us = 10", 1);
     MachineFile::parse(name, &text).unwrap_or_else(|error| panic!("{error}"))
 }
