@@ -47,7 +47,7 @@ pub struct IdentifyArgs {
     /// Longest motion of a joint, mm or degrees
     #[arg(long, value_name = "MM", default_value_t = 80.0, value_parser = travel)]
     pub travel: f64,
-    /// Part of the maximum rate that a joint reaches
+    /// Fraction of the maximum rate that a joint reaches
     #[arg(long, value_name = "PART", default_value_t = 0.8, value_parser = part)]
     pub rate: f64,
     /// Highest frequency of the sines, Hz
@@ -64,7 +64,8 @@ pub struct IdentifyArgs {
     /// simulated machine has a gauge; on others the command asks for readings
     #[arg(long)]
     pub lost_motion: bool,
-    /// Measure only the places of the index pulses and their slack, by repeated reference searches
+    /// Measure only the positions of the index pulses and their slack, by repeated reference
+    /// searches
     #[arg(long, conflicts_with = "lost_motion")]
     pub index: bool,
     /// Reading of the gauge, mm or degrees, in place of a question; give all, in the order of the

@@ -71,7 +71,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub check: bool,
     /// Start at once, and check the program while it runs: the machine stops along its path before
-    /// a block that cannot be done. For programs of any length, and for standard input
+    /// a block that cannot be executed. For programs of any length, and for standard input
     #[arg(long, conflicts_with_all = ["check", "from_line", "dry", "single"])]
     pub stream: bool,
     /// Feed override, percent of the programmed feed; above 100 as far as the limits of the machine
