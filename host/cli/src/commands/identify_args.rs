@@ -21,10 +21,11 @@ Joints with step drives, a home switch and no encoder: the largest rate and acce
 steps, and rates at which a resonance causes lost steps. Each test moves the joint, and homes: lost steps \
 shift the count at which the switch trips. 70 % of the limits are proposed.
 
-With --lost-motion each joint comes to the same place from below and from above, five times, and a \
-dial gauge is read: on the simulated machine by itself, on others by you.
+With --lost-motion each joint moves to the same position from below and from above, five times, and \
+a dial gauge measures the slide. The simulated machine has one; on others the command asks for \
+each reading.
 
-With --index the machine searches its index pulses five times in each direction. The places of the pulses, \
+With --index the machine searches its index pulses five times in each direction. The positions of the pulses, \
 relative to the presets at power-on, and their slack go into the machine file.
 
 The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
