@@ -195,7 +195,7 @@ impl Core {
         }
     }
 
-    /// Controlled stop; the job can be resumed from there.
+    /// Controlled stop; a job can be resumed from there.
     #[inline(never)]
     pub fn hold(&mut self) {
         self.job.resume_wait = 0;

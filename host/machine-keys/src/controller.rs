@@ -156,7 +156,7 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .named("back_off_mm").rotary("back_off_deg", real(0.01, 30.0, "deg"))
         .bounded("homing ends within the stroke");
     release = real(0.01, 200.0, "mm")
-        .is("longest motion off the active switch until it is released; it must release the switch from the end of the stroke")
+        .is("longest motion off the active switch until it is released, also from the end of the stroke")
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
         .or_text("three times the back-off, at least the stroke behind the switch and the back-off");
     travel = real(0.1, 1900.0, "mm").is("longest motion to the switch; homing fails if the switch does not become active").named("travel_mm")

@@ -25,8 +25,8 @@ With --lost-motion each joint moves to the same position from below and from abo
 a dial gauge measures the slide. The simulated machine has one; on others the command asks for \
 each reading.
 
-With --index the machine searches its index pulses five times in each direction. The positions of the pulses, \
-relative to the presets at power-on, and their slack go into the machine file.
+With --index the machine searches its index pulses five times in each direction. The positions of \
+the pulses, relative to the presets at power-on, and their slack go into the machine file.
 
 The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
 is at rest. The command asks before anything moves. Ctrl-C stops.
