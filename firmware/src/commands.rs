@@ -204,8 +204,8 @@ fn install(core: &mut Core, staged: &[u8], crc: u32, inputs: &Inputs, at_preset:
     Ok(())
 }
 
-/// Decodes a configuration into `decoded`. A frame of its own, and no configuration in the
-/// result, keep copies of it off the stack while the machine is built.
+/// Decodes a configuration into `decoded`. A function of its own that does not return the
+/// configuration keeps copies of it off the stack while the machine is built.
 #[inline(never)]
 fn decode(staged: &[u8], decoded: &mut Option<Config>) -> Done {
     let problem = |field| Refusal::Config(ConfigProblem { field, index: None });
@@ -340,7 +340,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     if let Some(coordinate) = pose
         .iter()
         .zip(&commanded)
-        .position(|(said, is)| said != is)
+        .position(|(stated, actual)| stated != actual)
     {
         return Err(Refusal::StartPose {
             coordinate: coordinate as u8,

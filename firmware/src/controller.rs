@@ -119,8 +119,8 @@ impl Controller {
         }
         let core = &mut self.core;
         core.job.busy = core.is_busy();
-        // The link may get no time slice where the interpolator, or an overdue integrity check of
-        // the configuration, needs the period.
+        // The link may get no time slice in a period that the interpolator, or an overdue
+        // integrity check of the configuration, needs.
         let overdue = core.job.digest_backlog >= DIGEST_OVERDUE;
         self.server.next(core.job.busy || overdue)
     }
@@ -165,8 +165,8 @@ impl Controller {
     }
 
     /// The configuration that the board must keep from now on, without its mark
-    /// ([`crate::kept::prefix`]). It is there after the period in which the host ordered it. From
-    /// the next period on [`Inputs::storage`] says how far the board is.
+    /// ([`crate::kept::prefix`]). It is returned after the period in which the host requested it.
+    /// From the next period on [`Inputs::storage`] says how far the board is.
     #[must_use]
     #[inline]
     pub fn to_store(&self) -> Option<&[u8]> {

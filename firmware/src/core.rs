@@ -77,7 +77,7 @@ pub(crate) struct Storing {
     pub id: Option<u8>,
     /// CRC of the configuration.
     pub crc: u32,
-    /// It was ordered in this period.
+    /// The host requested it in this period.
     pub is_new: bool,
 }
 
@@ -195,7 +195,7 @@ impl Core {
         }
     }
 
-    /// Controlled stop; a job keeps its place.
+    /// Controlled stop; a job can be resumed from there.
     #[inline(never)]
     pub fn hold(&mut self) {
         self.job.resume_wait = 0;

@@ -342,7 +342,7 @@ impl Machine {
     pub fn joint_beyond_rate(&self) -> Option<usize> {
         let rates = self.target.rates.iter().zip(self.kinematics.rates());
         let mut joints = rates.take(self.axes());
-        // Above half a turn per second the sum is more than a rate can be.
+        // The sum is unsigned: near half a turn per second it exceeds the range of a rate.
         joints.position(|(rate, limit)| {
             rate.0.unsigned_abs() > limit.0.unsigned_abs() + (limit.0.unsigned_abs() >> 5)
         })

@@ -218,7 +218,7 @@ fn answer_enable(core: &mut Core, server: &mut Server) {
         State::Idle => Ok(()),
         state => Err(Refusal::State(state)),
     };
-    // The request of this period may have taken the last place.
+    // The answer to the request of this period may have taken the last place in the queue.
     if server.can_answer() {
         server.answer(core.job.enabling, result);
         core.job.enabling = 0;

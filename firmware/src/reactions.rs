@@ -42,7 +42,7 @@ fn react_to_inputs(core: &mut Core) {
             core.safety.push_event(Event::InputHold { input });
             core.hold();
         } else if state == State::Hold && !machine.motion.is_at_standstill() {
-            // A jog beside the program that holds.
+            // A jog moves a coordinate while the program holds.
             core.hold();
         }
     } else if let Some(input) = io.active_with(config, |it| it == InputFunction::FeedHold) {
@@ -54,7 +54,8 @@ fn react_to_inputs(core: &mut Core) {
     }
 }
 
-/// Ends an armed motion at the contact; a contact without armed probing is a fault or a warning.
+/// Ends a motion at the contact of its armed probe; a contact without armed probing is a fault or a
+/// warning.
 fn react_to_probes(core: &mut Core) {
     let Some(machine) = &mut core.machine else {
         return;
@@ -67,7 +68,7 @@ fn react_to_probes(core: &mut Core) {
     let is_moving = core.safety.active()
         && (core.safety.state() != State::Hold || !machine.motion.is_at_standstill());
     let mut contact = None;
-    let mut unasked = None;
+    let mut unexpected = None;
     for (index, input) in machine.config.io.inputs.iter().enumerate() {
         if changed & named_io::bit(index) == 0 {
             continue;
@@ -78,14 +79,14 @@ fn react_to_probes(core: &mut Core) {
             && let InputFunction::Probe(reaction) | InputFunction::ToolSetter(reaction) =
                 input.function
         {
-            unasked = Some((index as u8, reaction));
+            unexpected = Some((index as u8, reaction));
         }
     }
     if let Some(probing) = contact.filter(|_| core.safety.active()) {
         report_contact(core, probing);
         core.abort();
     }
-    if let Some((input, reaction)) = unasked.filter(|_| is_moving) {
+    if let Some((input, reaction)) = unexpected.filter(|_| is_moving) {
         match reaction {
             ContactReaction::Fault => core.safety.raise(Fault::ProbeContact { input }),
             ContactReaction::Warning => core.safety.push_event(Event::ProbeContact { input }),

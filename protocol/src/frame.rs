@@ -25,7 +25,7 @@
 //! the check of the other frames.
 //!
 //! Callers must give each session its own number: frames of two sessions with the same number
-//! cannot be told apart.
+//! cannot be distinguished.
 
 mod outgoing;
 

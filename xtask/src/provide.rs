@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn an_installation_that_helps_nothing_is_told() {
+    fn an_installation_that_does_not_help_is_reported() {
         let still = Tools {
             toolchain: false,
             ..ALL

@@ -46,7 +46,7 @@ pub const CHECKS: &[Check] = &[
         run: misfit,
     },
     Check {
-        name: "states::lost_bytes_are_told",
+        name: "states::lost_bytes_are_reported",
         run: lost,
     },
 ];

@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_the_range_are_held_or_told() {
+    fn the_ends_of_the_range_are_kept_or_reported() {
         assert_eq!(Rate::MAX.checked_add(Rate(1)), None);
         assert_eq!(Rate::MIN.checked_sub(Rate(1)), None);
         assert_eq!(Rate::MAX.saturating_add(Rate(1)), Rate::MAX);

@@ -2,9 +2,9 @@
 //!
 //! | state | drives | left by |
 //! | --- | --- | --- |
-//! | Disabled | off | enable |
+//! | Disabled | off | enable, move off a limit switch |
 //! | Idle | holding | home, job, jog, disable |
-//! | Homing | moving | found, failed, stop |
+//! | Homing, moving off a limit switch | moving | success, failure, stop |
 //! | Run | moving | last setpoint, hold, stop, fault |
 //! | Hold | decelerating along the path, then holding | resume, stop |
 //! | Jog | moving | jog timeout, cancel, stop |
@@ -246,12 +246,13 @@ impl Safety {
         }
         let on = self.drives_on();
         self.holding = on && decelerates_first(&fault);
-        // What follows for the position is that of the joint's fault: its encoder is suspected.
+        // The fault of the joint decides about the position, also where missed periods are reported
+        // as the cause below: its encoder is suspected.
         self.latched = Some(fault);
-        // A drive with an alarm has not followed, and no encoder measured it.
-        let unseen = self.open_loop && matches!(fault, Fault::Drive { .. });
-        if unseen || !keeps_position(&fault) {
-            self.position_lost |= unseen;
+        // A drive with an alarm has not followed, and no encoder measured its motor.
+        let unmeasured = self.open_loop && matches!(fault, Fault::Drive { .. });
+        if unmeasured || !keeps_position(&fault) {
+            self.position_lost |= unmeasured;
             self.lose_position();
         }
         let fault = match self.pending.take() {

@@ -2,10 +2,10 @@
 //!
 //! Each leg has one encoder on its slide d, one on its turn theta3 and one on its hinge theta4.
 //! They are incremental and have no index. The counters are 0 at the position of the handle at
-//! power on, and the controller must be told that position (the rail, or a rest, holds the handle
-//! there). All else is as for the encoders of the slides ([`crate::joint::encoder`]): ideal discs;
-//! from the first fault on, edge-by-edge simulation through the decoder of a board, which counts
-//! illegal transitions.
+//! power-on, and the configuration of the controller must have that position (the rail, or a rest,
+//! holds the handle there). All else is as for the encoders of the slides
+//! ([`crate::joint::encoder`]): ideal discs; from the first fault on, edge-by-edge simulation
+//! through the decoder of a board, which counts illegal transitions.
 //!
 //! Units: mm and radians at the joints, x4 counts at the controller. The model assumes a constant
 //! rate of the joints within a control period.

@@ -76,7 +76,7 @@ fn volumes(body: &mut String, outcome: &ScenarioResult) {
     body.push_str(
         "<h2>Volumetric error of the tool at standstill</h2><table><tr><th>state</th>\
          <th class=\"n\">largest, um</th><th class=\"n\">rms, um</th>\
-         <th class=\"n\">largest without the best-fitting rigid motion of the work, um</th></tr>",
+         <th class=\"n\">largest without the best-fitting rigid motion of the workpiece, um</th></tr>",
     );
     let mut row = |name: &str, volume: &Volume| {
         let (sizes, rest) = (volume.sizes(), volume.without_motion().sizes());

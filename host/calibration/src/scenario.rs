@@ -393,7 +393,7 @@ pub fn table(outcome: &ScenarioResult) -> String {
     for state in &outcome.states {
         row(state.name, state.volume.sizes());
     }
-    let without_motion = "  without the motion of the work";
+    let without_motion = "  without the best-fitting rigid motion";
     if let Some(measured) = outcome.states.last() {
         row(without_motion, measured.volume.without_motion().sizes());
     }

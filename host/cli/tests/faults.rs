@@ -201,7 +201,7 @@ fn faults_of_step_motors_stop_the_job_with_a_remedy() {
     insta::assert_snapshot!("step_motor_faults", text);
 }
 
-/// A controller without encoders cannot see lost steps. The simulator can: a run that lost steps
+/// A controller without encoders cannot detect lost steps. The simulator can: a run that lost steps
 /// did not succeed. It ends with the joint, its distance and the code of a fault.
 #[test]
 fn lost_steps_without_encoders_are_no_success() {

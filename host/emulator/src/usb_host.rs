@@ -294,7 +294,7 @@ impl UsbHost {
         let named = matches!(transfer.request, Request::FirstDevice | Request::Address);
         let address = if named { 0 } else { DEVICE };
         let is_in = transfer.packet[0] & 0x80 != 0;
-        let wanted = u16::from_le_bytes([transfer.packet[6], transfer.packet[7]]) as usize;
+        let requested = u16::from_le_bytes([transfer.packet[6], transfer.packet[7]]) as usize;
         let (request, stage) = (transfer.request, transfer.stage);
         let failed = |what: &str| Err(format!("USB: {request:?}, {stage:?}: {what}"));
         let (answer, length, is_done) = match transfer.stage {
@@ -312,8 +312,8 @@ impl UsbHost {
                     }
                     length = Some(bytes.len());
                     transfer.data.extend(bytes);
-                    // A short packet, or all that was wanted.
-                    is_done = bytes.len() < 64 || transfer.data.len() >= wanted;
+                    // A short packet, or all that was requested.
+                    is_done = bytes.len() < 64 || transfer.data.len() >= requested;
                 }
                 (answer, length, is_done)
             }
@@ -327,7 +327,7 @@ impl UsbHost {
                 }
                 (answer, Some(length), transfer.done == transfer.data.len())
             }
-            Stage::Status if is_in && wanted > 0 => {
+            Stage::Status if is_in && requested > 0 => {
                 (device.receive(address, 0, true, &[]), Some(0), true)
             }
             Stage::Status => {
@@ -358,7 +358,7 @@ impl UsbHost {
         if is_done {
             transfer.end = now + STAGE_US * CYCLES_PER_US;
             transfer.stage = match transfer.stage {
-                Stage::Setup if wanted > 0 => Stage::Data,
+                Stage::Setup if requested > 0 => Stage::Data,
                 Stage::Setup | Stage::Data => Stage::Status,
                 Stage::Status => return self.end(&transfer, now).map(|pause| time + pause),
             };

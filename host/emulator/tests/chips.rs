@@ -57,16 +57,16 @@ fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
     Alarms::default().with(joint, Some(alarm))
 }
 
-/// The chips have the settings of the machine file: currents up to the wanted ones, less than a
+/// The chips have the settings of the machine file: currents up to the configured ones, less than a
 /// step of the range of 325 mV and 0.13 ohm, 55 mA, below it.
 fn assert_set(board: &mut Pico2) {
     for (joint, (_, run, hold)) in CHIPS.into_iter().enumerate() {
         let chip = board.drive_chip(joint);
         assert_eq!(chip.microsteps(), 16, "joint {joint}");
         let set = chip.currents(0.11).expect("the internal reference");
-        for (set, wanted) in set.into_iter().zip([run, hold]) {
+        for (set, configured) in set.into_iter().zip([run, hold]) {
             assert!(
-                set <= wanted + 1e-9 && set > wanted - 0.056,
+                set <= configured + 1e-9 && set > configured - 0.056,
                 "joint {joint}: {set}"
             );
         }

@@ -133,9 +133,9 @@ fn a_part_of_the_slot_of_the_h4_mill_ends_where_it_began() {
     let away = *session.line_mut().plant().truth();
     let moved: Vec<f64> = (0..5).map(|at| away.pose[at] - start.pose[at]).collect();
     println!("the tool moved {moved:.4?}");
-    let wanted = [-4.0, 0.0, 19.232 - 21.232, 0.0, 0.0];
-    for (moved, wanted) in moved.iter().zip(wanted) {
-        assert!((moved - wanted).abs() < 0.02, "{moved}, {wanted}");
+    let expected = [-4.0, 0.0, 19.232 - 21.232, 0.0, 0.0];
+    for (moved, expected) in moved.iter().zip(expected) {
+        assert!((moved - expected).abs() < 0.02, "{moved}, {expected}");
     }
     assert_ne!(session.line_mut().steps, before);
     let here = session.status().expect("the board answers").commanded;
@@ -187,8 +187,8 @@ fn the_whole_slot_of_the_h4_mill_ends_where_it_began() {
     }
     println!("lowest coordinates of the tool: {lowest:.4?}");
     // The end and the depth of the slot, as in the program.
-    for (lowest, wanted) in [(lowest[0], -30.0), (lowest[2], 19.232)] {
-        assert!((lowest - wanted).abs() < 0.02, "{lowest}, {wanted}");
+    for (lowest, expected) in [(lowest[0], -30.0), (lowest[2], 19.232)] {
+        assert!((lowest - expected).abs() < 0.02, "{lowest}, {expected}");
     }
     assert_eq!(session.line_mut().steps, before, "a closed path");
     let seconds = assert_passed(&mut session.into_line(), &machine);

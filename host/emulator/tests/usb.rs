@@ -64,7 +64,7 @@ fn read(chip: &mut Chip, packet: [u8; 8]) -> Option<Vec<u8>> {
     setup(chip, packet);
     // A host that has given up a transfer takes longer than that for its next packet.
     run(chip, 50);
-    let wanted = usize::from(packet[6]);
+    let requested = usize::from(packet[6]);
     let mut data = Vec::new();
     let mut expected = true;
     loop {
@@ -73,7 +73,7 @@ fn read(chip: &mut Chip, packet: [u8; 8]) -> Option<Vec<u8>> {
                 assert_eq!(toggle, expected);
                 expected = !expected;
                 data.extend(&bytes);
-                if bytes.len() < 64 || data.len() >= wanted {
+                if bytes.len() < 64 || data.len() >= requested {
                     break;
                 }
             }

@@ -166,7 +166,7 @@ fn only_what_is_placed_can_be_refused() {
     assert_eq!(found.len(), 1);
     assert!(found[0].message.contains("A1"), "{}", found[0]);
     assert_eq!(found[0].layer.as_deref(), Some("NOTES"));
-    // Who chooses another layer is not told of it.
+    // A choice of another layer gives no notice of it.
     let mut drawing = read(text.as_bytes(), &ReadOptions::default()).unwrap();
     let only = |name: &str| LayerChoice {
         only: vec![name.into()],

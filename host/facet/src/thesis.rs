@@ -287,8 +287,8 @@ fn cutting(name: &str, cutting: &Cutting) -> Vec<Row> {
     ]
 }
 
-/// Repeats the statements, and cuts a small stone by feed and by force. `progress` is told what is
-/// done next.
+/// Repeats the statements, and cuts a small stone by feed and by force. `progress` gets the name
+/// of the next step.
 ///
 /// # Errors
 /// The machine cannot grind, or it stopped.

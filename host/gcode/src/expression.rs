@@ -414,7 +414,11 @@ impl<'a> Scan<'a> {
             .flat_map(char::to_lowercase)
             .collect();
         if name.is_empty() || name.len() > 200 {
-            return self.mistake(start, "a name of no or too many letters", "write a name");
+            return self.mistake(
+                start,
+                "a parameter name of no letters, or of more than 200",
+                "write 1 to 200 letters",
+            );
         }
         Ok(name)
     }

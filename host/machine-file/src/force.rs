@@ -56,7 +56,10 @@ pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
         .fold(0, |mask, axis| mask | 1 << axis);
     let sections = section.list("axis");
     if !sections.is_empty() && sections.len() != COMPONENTS {
-        let what = format!("has {} sections, a force has {COMPONENTS}", sections.len());
+        let what = format!(
+            "has {} sections, force control needs {COMPONENTS}",
+            sections.len()
+        );
         section.report("axis", what, "write one for each of x, y, z");
     }
     let sensor = section

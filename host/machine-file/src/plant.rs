@@ -76,7 +76,7 @@ fn check_poses(
     if let Some(difference) = difference.filter(PoseDifference::is_another_machine) {
         let (offset, key) = place_in_plant(root, "geometry");
         let what = format!(
-            "the simulated machine is another one than that of [kinematics]: {difference} (at most \
+            "the simulated machine is another one than [kinematics] describes: {difference} (at most \
              {ERROR} mm and {ERROR} deg)"
         );
         let remedy = "correct [plant.geometry], [kinematics] or the presets of [[plant.joint]]";

@@ -23,7 +23,7 @@ pub(crate) fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> Mach
     let name = read_name(&root);
     let period_us = root.value(root::period_us);
     if 1e6 % period_us > 0.0 {
-        let what = "is no divisor of a second in microseconds, 1,000,000";
+        let what = "does not divide a second, 1,000,000 us";
         root.refuse(root::period_us, what, "write 100, 200, 250 or 500");
     }
     if root.has("role") {

@@ -205,12 +205,9 @@ fn a_simulated_geometry_of_another_model_is_told_before_its_keys() {
 }
 
 #[test]
-fn a_period_that_does_not_divide_a_second_is_told_at_its_key() {
+fn a_period_that_does_not_divide_a_second_is_reported_at_its_key() {
     let found = problems(MILL, "period_us = 200", "period_us = 300");
-    assert_eq!(
-        found,
-        ["period_us: is no divisor of a second in microseconds, 1,000,000"]
-    );
+    assert_eq!(found, ["period_us: does not divide a second, 1,000,000 us"]);
 }
 
 /// The sign of the second joint is that of the other branch.

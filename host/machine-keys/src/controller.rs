@@ -42,7 +42,7 @@ kinematics "kinematics" "The model; its lengths are keys of the model." {
         .is("model of the machine: number, names, kinds and order of coordinates and joints");
 }
 
-pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may ask for." {
+pose "pose" "A pose coordinate: its soft limits, and the maximum rate, acceleration and jerk of programs and jogs." {
     name = text("the name that the model has at this place").is("name of the coordinate");
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
     low = super::LENGTHS.is("lower soft limit").named("low_mm")
@@ -107,7 +107,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     backlash = real(0.0, 100.0, "mm").is("lost motion that is compensated").named("backlash_mm")
         .rotary("backlash_deg", real(0.0, 30.0, "deg")).or(0.0).bounded("below one motor turn");
     backlash_table = other("2 to 16 numbers, 0 to 100 mm")
-        .is("lost motion at evenly spaced places from the lower to the upper end of the stroke, in place of `backlash_mm`")
+        .is("lost motion at evenly spaced positions from the lower to the upper end of the stroke, in place of `backlash_mm`")
         .named("backlash_table_mm")
         .rotary("backlash_table_deg", other("2 to 16 numbers, 0 to 30 deg")).or_absent()
         .bounded("changes by at most 1/256 of the distance; below one motor turn").only("joints with a stroke");
@@ -156,10 +156,10 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .named("back_off_mm").rotary("back_off_deg", real(0.01, 30.0, "deg"))
         .bounded("homing ends within the stroke");
     release = real(0.01, 200.0, "mm")
-        .is("largest way off the active switch until it is released, at the start from the end of the stroke too")
+        .is("longest motion off the active switch until it is released, also from the end of the stroke")
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
         .or_text("three times the back-off, at least the stroke behind the switch and the back-off");
-    travel = real(0.1, 1900.0, "mm").is("largest way to the switch; without a switch there homing fails").named("travel_mm")
+    travel = real(0.1, 1900.0, "mm").is("longest motion to the switch; homing fails if the switch does not become active").named("travel_mm")
         .rotary("travel_deg", real(0.1, 166.0, "deg")).multi_turn(real(0.1, 170_000.0, "deg"))
         .or_text("1.2 times the stroke and twice the release distance");
 }
@@ -200,7 +200,7 @@ joint_tmc2209 "joint.drive.tmc2209" "The chip of a step drive that the board set
     microsteps = whole(1, 256, "").is("microsteps of a full step")
         .bounded("a power of two; with the full steps they are `steps_per_turn`");
     full_steps_per_turn = whole(4, 10_000, "steps").is("full steps per motor turn").or(200.0);
-    run_current_a = real(0.01, 2.0, "A").is("rms current of the moving motor; the chip gets the largest one of its steps up to it")
+    run_current_a = real(0.01, 2.0, "A").is("rms current of the moving motor; the chip is set to its largest current step that does not exceed it")
         .bounded("0.004 V to 0.2298 V divided by the sense resistor plus 0.02 ohm");
     hold_current_a = real(0.0, 2.0, "A").is("rms current at standstill; its least step is 1/32 of the range")
         .bounded("at most the run current");
@@ -247,7 +247,7 @@ planner "planner" "How the planner joins the blocks of a program." {
 
 spindle "spindle" "Speeds of the spindle; optional." {
     min_rpm = whole(0, 32_767, "rev/min")
-        .is("slowest speed, clockwise and counter-clockwise; a program with a slower one but 0 is refused")
+        .is("slowest speed, clockwise and counter-clockwise; a program with a slower speed other than 0 is refused")
         .or(0.0).bounded("at most max_rpm");
     max_rpm = whole(1, 32_767, "rev/min").is("fastest speed; a program with a faster one is refused")
         .or(32_767.0);
@@ -285,7 +285,7 @@ supervision "supervision" "Limits of the controller's monitors." {
         .is("missed control periods in a row that are a fault");
     illegal_transitions = whole(1, 1000, "")
         .is("illegal transitions of an encoder since enable that are a fault")
-        .only("not with role = \"master\"");
+        .only("role = \"machine\"");
     singularity_margin_mm = real(1.0, 200.0, "mm")
         .is("least distance from the singularity of the model; poses nearer to it are refused, and jogs stop before them")
         .only("models with a singularity")
@@ -315,7 +315,7 @@ force "force" "Force sensor and force control; a machine without a force sensor 
 }
 
 force_sensor "force.sensor" "The force sensor." {
-    converter_v = real(0.1, 100.0, "V").is("range of the 14-bit converter, either way");
+    converter_v = real(0.1, 100.0, "V").is("range of the 14-bit converter, positive and negative");
     saturation_part = real(0.1, 0.999, "")
         .is("fraction of the range beyond which a channel is saturated");
     silent_ms = real(0.1, 1000.0, "ms").is("longest time without a new sample");
@@ -334,7 +334,7 @@ force_axis "force.axis" "The force loop of x, y or z." {
     name = text("\"x\", \"y\", \"z\", in this order").is("axis");
     newtons_per_volt = real(1e-3, 4000.0, "N/V").is("scale of the channel")
         .bounded("at most 0.5 N per code");
-    sign = plus_minus().is("sign of the channel; the force on the tool counts");
+    sign = plus_minus().is("sign of the channel, so that its value is the force on the tool");
     setpoint_n = real(-2048.0, 2048.0, "N").is("force setpoint f_d")
         .bounded("magnitude 0.5 to three quarters of the sensor range");
     mass_n_s2_per_mm = real(0.0, 65_535.0, "N s^2/mm").is("virtual mass K_A")

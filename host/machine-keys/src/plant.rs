@@ -60,14 +60,14 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
         .rotary("high", real(-200_000.0, 200_000.0, "deg"));
     stop_stiffness = other("0 to a bound by substep and inertia; N/mm, N m/deg")
         .is("stiffness of the hard stops");
-    preset = real(-2000.0, 2000.0, "mm").is("place of the slide at the start")
+    preset = real(-2000.0, 2000.0, "mm").is("position of the slide at the start")
         .bounded("between the hard stops").rotary("preset", real(-200_000.0, 200_000.0, "deg"));
     start_spread = real(0.0, 2000.0, "mm").is("largest random offset of it, by the seed").or(0.0)
         .bounded("at most the distance to the nearer stop")
         .rotary("start_spread", real(0.0, 2000.0, "deg"));
     home = other("the keys of `[plant.joint.home]`").is("home switch").or_absent();
     active_low = other("list of \"home\", \"limit-low\", \"limit-high\"")
-        .is("switches whose line is low while they are active, as the contact opens")
+        .is("switches whose line is low while they are active, such as contacts that open")
         .or_text("[]");
     limit_low = real(-4000.0, 4000.0, "mm").is("lower limit switch").or_absent()
         .rotary("limit_low", real(-400_000.0, 400_000.0, "deg")).bounded("below the upper one");
@@ -149,7 +149,7 @@ cutter "plant.cutter" "The cutter, a ball-end mill; optional." {
         .is("cutting coefficients, N/mm^2 and N/mm").or_text("\"P1\"");
     force_scale = real(0.0, 1000.0, "").is("factor on all forces of the cut").or(1.0);
     edge_onset_mm = real(0.0, 0.1, "mm")
-        .is("chip thickness at which the edge force is in full").or(0.0002);
+        .is("chip thickness from which on the edge force has its full value").or(0.0002);
     relief_mm = real(0.01, 5.0, "mm").is("how far the body lies behind the edges").or(0.15);
     body_stiffness = real(0.0, 1e6, "N/mm^3").is("pressure of the body per depth").or(100.0);
     body_pressure = real(0.0, 1e5, "N/mm^2").is("pressure at which the material yields").or(60.0);

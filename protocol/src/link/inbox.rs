@@ -93,8 +93,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
     pub(super) fn reliable(&mut self, sequence: u8, payload: &[u8]) -> bool {
         let ahead = sequence.wrapping_sub(self.missing);
         if ahead == 0 {
-            // At most half of the sequence numbers may wait to be polled; more could not be told
-            // apart.
+            // At most half of the sequence numbers may wait to be polled; more could not be
+            // distinguished.
             if self.missing.wrapping_sub(self.give) >= 120 {
                 self.no_room = self.no_room.saturating_add(1);
                 return false;

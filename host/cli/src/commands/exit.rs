@@ -45,7 +45,7 @@ Exit codes:
      part differs from the drawing or design
   7  stopped by the user; the machine decelerated along its path
   8  the controller refused a command in its state or configuration;
-     `trace diff` and `replay`: there is a difference
+     `trace diff` and `replay`: there is a difference; `pulses`: there are faults
   9  a result cannot be written
 With --json an error is an object on standard output, too, unless the command line
 is not valid: {\"error\", \"exit_code\", \"problems\": [...]}.";

@@ -22,8 +22,8 @@ pub enum ForceCommand {
     /// Set the axes under force control, and the settings of their loops
     ///
     /// Settings that are not given keep their values. They can be changed while a job runs; the
-    /// tool does not jump. An axis that leaves force control returns to the programmed position at
-    /// f_d / K_V.
+    /// commanded position does not step. An axis that leaves force control returns to the
+    /// programmed position at f_d / K_V.
     Set(SetArgs),
 }
 

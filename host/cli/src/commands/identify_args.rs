@@ -21,11 +21,12 @@ Joints with step drives, a home switch and no encoder: the largest rate and acce
 steps, and rates at which a resonance causes lost steps. Each test moves the joint, and homes: lost steps \
 shift the count at which the switch trips. 70 % of the limits are proposed.
 
-With --lost-motion each joint comes to the same place from below and from above, five times, and a \
-dial gauge is read: on the simulated machine by itself, on others by you.
+With --lost-motion each joint moves to the same position from below and from above, five times, and \
+a dial gauge measures the slide. The simulated machine has one; on others the command asks for \
+each reading.
 
-With --index the machine searches its index pulses five times in each direction. The places of the pulses, \
-relative to the presets at power-on, and their slack go into the machine file.
+With --index the machine searches its index pulses five times in each direction. The positions of \
+the pulses, relative to the presets at power-on, and their slack go into the machine file.
 
 The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
 is at rest. The command asks before anything moves. Ctrl-C stops.
@@ -47,7 +48,7 @@ pub struct IdentifyArgs {
     /// Longest motion of a joint, mm or degrees
     #[arg(long, value_name = "MM", default_value_t = 80.0, value_parser = travel)]
     pub travel: f64,
-    /// Part of the maximum rate that a joint reaches
+    /// Fraction of the maximum rate that a joint reaches
     #[arg(long, value_name = "PART", default_value_t = 0.8, value_parser = part)]
     pub rate: f64,
     /// Highest frequency of the sines, Hz
@@ -64,7 +65,8 @@ pub struct IdentifyArgs {
     /// simulated machine has a gauge; on others the command asks for readings
     #[arg(long)]
     pub lost_motion: bool,
-    /// Measure only the places of the index pulses and their slack, by repeated reference searches
+    /// Measure only the positions of the index pulses and their slack, by repeated reference
+    /// searches
     #[arg(long, conflicts_with = "lost_motion")]
     pub index: bool,
     /// Reading of the gauge, mm or degrees, in place of a question; give all, in the order of the

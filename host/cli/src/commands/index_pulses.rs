@@ -1,4 +1,4 @@
-//! `haptimill identify --index`: places of the index pulses and their slack.
+//! `haptimill identify --index`: positions of the index pulses and their slack.
 
 use super::identify_args::{IdentifyArgs, finish, folder, options, save, say};
 use super::{CliError, Exit};

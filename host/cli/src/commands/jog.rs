@@ -49,7 +49,7 @@ pub struct JogArgs {
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, conflicts_with = "by",
           value_parser = seconds)]
     pub duration: f64,
-    /// Jog timeout: the controller stops the machine when it receives nothing for this long
+    /// Jog timeout: the controller stops the jog when it receives no jog command for this long
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub jog_timeout: u16,
     #[command(flatten)]

@@ -15,8 +15,8 @@ of the machine with their units, as x_mm, a_deg; the last column is the status. 
 singularity has a column singularity_mm, the distance from it.
 
 The status is ok, unreachable, near_singularity, an error of the geometry (as near_reach_limit), or \
-out_of_range (a number that the controller cannot hold); only a row with ok has joint positions. With --strokes a row whose \
-joints exceed their strokes is out_of_stroke, with joint positions. Columns are found by name; other \
+out_of_range (a number beyond the range of the controller); only a row with ok has joint positions. \
+With --strokes a row whose joints exceed their strokes is out_of_stroke, with joint positions. Columns are found by name; other \
 columns are ignored. - is standard input or output.
 
 With --grid the table is computed at points of a grid, and its rows begin with the coordinates of \
@@ -28,8 +28,8 @@ of the machine with their units, as x_mm, a_deg; the last column is the status. 
 singularity has a column singularity_mm, the distance from it.
 
 The status is ok, unreachable, near_singularity, an error of the geometry (as near_reach_limit), or \
-out_of_range (a number that the controller cannot hold); only a row with ok has a pose. With --strokes a row whose joints exceed \
-their strokes is out_of_stroke, with a pose. Columns are found by name; other columns are ignored. - \
+out_of_range (a number beyond the range of the controller); only a row with ok has a pose. With \
+--strokes a row whose joints exceed their strokes is out_of_stroke, with a pose. Columns are found by name; other columns are ignored. - \
 is standard input or output.
 
 With --grid the table is computed at points of a grid, and its rows begin with the joint positions of \

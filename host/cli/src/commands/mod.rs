@@ -78,11 +78,11 @@ the controller and the machine are the built-in simulator: the same controller c
 protocol with a simulated machine. Without --machine the machine is the built-in \
 machines/h4.toml.
 
-A board behind --port keeps its configuration. Without --machine a command uses that configuration \
-and sends none. A command that computes positions (run, home, jog, teleop, console) needs the \
-machine file of a configuration that is not built in. With --machine the file is sent while the \
-drives are off, and the command reports it. A board that is configured as a machine of another name \
-refuses the file without --replace-machine.";
+A board behind --port has an active configuration, or none after power-on. Without --machine a \
+command uses the active configuration and sends none. A command that computes positions (run, home, \
+jog, teleop, console) needs the machine file of a configuration that is not built in. With --machine \
+the file is sent while the drives are off, and the command reports it. The file does not replace the \
+configuration of a machine of another name without --replace-machine.";
 
 const EXAMPLES: &str = "\
 Examples:

@@ -213,8 +213,7 @@ pub fn move_off(args: MoveOffArgs) -> Result<(), CliError> {
             Some(Fault::LimitSwitch { joint }) => joint,
             _ => {
                 let what = format!(
-                    "move-off: the latched fault, if any, is none of a limit switch; name the joint \
-                     ({list})"
+                    "move-off: no fault of a limit switch is latched; name the joint ({list})"
                 );
                 return Err(CliError::new(Exit::Usage, what));
             }

@@ -83,7 +83,7 @@ fn describe_kept(kept: Kept, configuration: u32, model: &Model) -> Option<String
         Kept::Config(crc) if crc == configuration => {
             "this machine file; the board activates it after a reset".to_string()
         }
-        Kept::Config(crc) => format!("another machine file (check {crc:08x}); {replace}"),
+        Kept::Config(crc) => format!("another machine file (CRC {crc:08x}); {replace}"),
         Kept::OtherVersion => {
             format!("a machine file by another version of the image, which is ignored; {replace}")
         }

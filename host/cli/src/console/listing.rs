@@ -62,12 +62,12 @@ impl Listing {
     /// The row that is selected first.
     fn first_row(&self, row: &Row) -> Option<usize> {
         let row_of = |has: &dyn Fn(&Entry) -> bool| self.entries.iter().position(has);
-        let wanted = match row {
+        let found = match row {
             Row::None => return None,
             Row::First | Row::Typed => row_of(&|entry| entry.kind > Kind::Up),
             Row::Of(below) => row_of(&|entry| entry.kind > Kind::Up && entry.path == *below),
         };
-        wanted.or_else(|| (!self.entries.is_empty()).then_some(0))
+        found.or_else(|| (!self.entries.is_empty()).then_some(0))
     }
 }
 

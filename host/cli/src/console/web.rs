@@ -107,7 +107,7 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
     if args.listen.ip().is_unspecified() {
         eprintln!(
             "--listen {}: the page is on every address of this computer; where the printed address \
-             is not reachable, put another one of it in its place",
+             is not reachable, use another address of this computer",
             args.listen
         );
     }

@@ -112,7 +112,7 @@ fn a_program_runs_as_it_comes_and_stops_where_the_line_is_cut() {
     let cut = dnc.end().expect_code(5);
     assert!(cut.err.contains("line 5, G1 X-1"), "{}", cut.err);
     assert!(
-        cut.err.contains("the last block done is line 5"),
+        cut.err.contains("the last executed block is line 5"),
         "{}",
         cut.err
     );

@@ -68,7 +68,7 @@ fn a_stream_stops_before_a_block_that_cannot_be_done() {
         );
         assert!(error.contains(word), "{mistake}: {error}");
         assert!(error.contains("; "), "a remedy: {error}");
-        let last = "the last block done is line 4";
+        let last = "the last executed block is line 4";
         assert!(ran.err.contains(last), "{mistake}: {}", ran.err);
         let summary = folder.summary("out");
         assert_eq!(summary["final_state"], "Idle", "{mistake}");

@@ -368,7 +368,8 @@ fn flat_arcs_are_lines() {
     );
 }
 
-/// A surface with a wrong patch is told from one with single cells that the grid does not resolve.
+/// A surface with a wrong patch is distinguished from one with single cells that the grid does not
+/// resolve.
 #[test]
 fn a_surface_with_a_wrong_patch_is_found() {
     let text = dxf(&squares(&[[0.0, 0.0, 20.0]]));

@@ -157,7 +157,7 @@ pub struct EngraveArgs {
     /// Pocket: how it is cleared
     #[arg(long, value_enum, default_value_t = ClearName::Contour)]
     pub clear: ClearName,
-    /// Pocket: distance of rows or contours as a part of the tool's diameter
+    /// Pocket: distance of rows or contours as a fraction of the tool's diameter
     #[arg(
         long,
         value_name = "PART",
@@ -234,10 +234,10 @@ pub struct EngraveArgs {
         allow_negative_numbers = true
     )]
     pub scale: f64,
-    /// Which point of the drawing comes to --at
+    /// Point of the drawing that is placed at --at
     #[arg(long, value_enum, default_value_t = OriginName::Drawing)]
     pub origin: OriginName,
-    /// Where that point comes, mm
+    /// Position of that point, mm
     #[arg(long, value_name = "X,Y", default_value = "0,0", value_parser = place)]
     #[arg(allow_hyphen_values = true)]
     pub at: Place,

@@ -155,10 +155,10 @@ pub struct RunArgs {
     /// Stiffness of the bed of the laps [default: 200]
     #[arg(long, value_name = "N/MM3", value_parser = bed)]
     pub bed: Option<f64>,
-    /// Volume that a lap loses for a volume of the stone
+    /// Volume that a lap loses, divided by the volume that it removes from the stone
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = small)]
     pub wear: f64,
-    /// Hard ball in the stone: centre x,y,z, radius, and its part of the removal
+    /// Hard ball in the stone: centre x,y,z, radius, and its removal divided by that of the stone
     #[arg(long, value_name = "X,Y,Z,RADIUS,PART", allow_hyphen_values = true, value_parser = hard_spot)]
     pub hard_spot: Option<HardSpot>,
     /// Cut the design a second time, ground in this way, and show both side by side

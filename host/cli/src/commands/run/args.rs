@@ -44,7 +44,7 @@ pub(in crate::commands) fn faults_help() -> String {
          joint= is the name of a joint in the machine file; a wrong name lists those of the \
          machine.\n\
          at=TIME is the start and for=TIME the duration, as 1.5s, 200ms or 40us; without at= the \
-         fault begins at the start, without for= it lasts to the end. TIME is simulated time, \
+         fault begins at power-on, without for= it lasts to the end. TIME is simulated time, \
          including homing.",
         haptimill_hil_sim::fault::catalogue()
     )
@@ -71,7 +71,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub check: bool,
     /// Start at once, and check the program while it runs: the machine stops along its path before
-    /// a block that cannot be done. For programs of any length, and for standard input
+    /// a block that cannot be executed. For programs of any length, and for standard input
     #[arg(long, conflicts_with_all = ["check", "from_line", "dry", "single"])]
     pub stream: bool,
     /// Feed override, percent of the programmed feed; above 100 as far as the limits of the machine

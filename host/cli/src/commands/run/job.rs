@@ -421,12 +421,13 @@ impl Job<'_> {
         })
     }
 
-    /// The error of a streamed program that ended before its end, with the last block done.
+    /// The error of a streamed program that ended before its end, with the last block that was
+    /// executed.
     fn ended_early(&self, error: CliError, last: Option<u32>) -> CliError {
         let last = match last {
             None => "nothing moved".to_string(),
             Some(line) => {
-                format!("the machine stopped on its path; the last block done is line {line}")
+                format!("the machine stopped on its path; the last executed block is line {line}")
             }
         };
         CliError {

@@ -93,7 +93,7 @@ impl StepJoints {
         }
         let what = || {
             format!(
-                "steps were lost, which this controller cannot see: {}; lower the speed, the \
+                "steps were lost, which this controller cannot detect: {}; lower the speed, the \
                  acceleration or the load, then home again",
                 lost.join(", ")
             )

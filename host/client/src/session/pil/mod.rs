@@ -237,7 +237,9 @@ impl Emulator {
                 from_board,
                 serial,
             }),
-            None => Err(failed(io::Error::other("the emulator was lost"))),
+            None => Err(failed(io::Error::other(
+                "the connection to the emulator is lost",
+            ))),
         }
     }
 

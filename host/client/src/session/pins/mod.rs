@@ -137,7 +137,11 @@ impl PinLine {
                 .take(&turn)
                 .map_err(|reason| failed(io::Error::other(reason)))?,
             Ok(Answer::Failed(reason)) => return Err(failed(io::Error::other(reason))),
-            Ok(_) => return Err(failed(io::Error::other("the emulator began with its end"))),
+            Ok(_) => {
+                return Err(failed(io::Error::other(
+                    "the emulator sent its last frame first",
+                )));
+            }
             Err(error) => return Err(failed(error)),
         }
         Ok(line)
@@ -225,7 +229,7 @@ impl PinLine {
         match self.answer() {
             Ok(Answer::Passed(text)) => Ok(text),
             Ok(Answer::Failed(text) | Answer::Faulty(text)) => Err(failed(&text)),
-            Ok(Answer::Turn(_)) => Err(failed("the emulator goes on after its end")),
+            Ok(Answer::Turn(_)) => Err(failed("the emulator sent a frame after its last one")),
             Err(error) => Err(failed(&error.to_string())),
         }
     }
