@@ -229,7 +229,8 @@ fn read_axis<'d, 'i>(
     section.finish();
     let per_code = sign * newtons * volts / CODES;
     if per_code.abs() > 0.5 {
-        let what = format!("{newtons} N/V is {per_code:.3} N a code, at most 0.5 are allowed");
+        let magnitude = per_code.abs();
+        let what = format!("{newtons} N/V is {magnitude:.3} N a code, at most 0.5 are allowed");
         section.report("newtons_per_volt", what, "lower it");
     }
     let is_scaled = per_code.abs() <= 0.5;
