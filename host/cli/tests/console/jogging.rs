@@ -66,9 +66,11 @@ fn steps_are_exact_and_one_per_key_press() {
     terminal.expect_state("RUN");
     let down = at(&terminal, "y");
     assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
-    // Hold ends a step and leaves nothing to resume.
+    // Hold ends a step and leaves nothing to resume. The state is shown before the first micrometre.
     terminal.press(UP);
     terminal.expect_state("RUN");
+    let has_moved = |_: &str| terminal.number("y", 1).is_some_and(|y| y > down);
+    terminal.wait_until("y above the end of the step", has_moved);
     terminal.press(SPACE);
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
