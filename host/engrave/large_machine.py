@@ -1,6 +1,9 @@
 """The engraver with room for large drawings, for the scripts of this folder."""
 
+import os
 import re
+
+MACHINE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../machines/engraver.toml")
 
 # Strokes of pose, joint and hard stops of x and y: the machine file of the tree and the large one.
 WIDER = (
@@ -18,7 +21,7 @@ WIDER = (
 
 def write(path):
     """Writes `machines/engraver.toml` with an area of 1200 x 1200 mm."""
-    text = open("machines/engraver.toml").read()
+    text = open(MACHINE).read()
     for old, new, count in WIDER:
         # A machine file that has changed would give refusals of drawings, not of the machine.
         text, found = re.subn(rf"^{re.escape(old)}\b", new, text, flags=re.MULTILINE)
