@@ -19,6 +19,7 @@
 //! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
+//! | `log` | first lines of the log, with the feature `log` |
 //!
 //! All memory accesses and instructions that need `unsafe` are in this crate and in
 //! `haptimill_board_cortex`.
@@ -39,6 +40,8 @@ mod flash;
 #[cfg(not(feature = "encoders"))]
 mod levels;
 mod link;
+#[cfg(feature = "log")]
+mod log;
 mod period;
 mod pins;
 mod record;
@@ -72,6 +75,8 @@ fn main() -> ! {
     limit_stack();
     vectors::move_to_ram();
     let cause = ending::take_cause();
+    #[cfg(feature = "log")]
+    log::start(cause);
     clocks::start();
     pins::start();
     let (wire, bytes) = link::start();

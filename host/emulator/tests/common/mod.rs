@@ -17,11 +17,15 @@ use std::sync::Arc;
 
 /// Contents of the flash of an image that a variable names.
 fn named(variable: &str) -> Vec<u8> {
+    flash(&file(variable)).unwrap_or_else(|error| panic!("{variable}: {error}"))
+}
+
+/// The file that a variable names.
+fn file(variable: &str) -> Vec<u8> {
     let path = std::env::var(variable).unwrap_or_else(|_| {
         panic!("{variable} is the path of an image; `cargo xtask emulator` sets it")
     });
-    let file = std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"));
-    flash(&file).unwrap_or_else(|error| panic!("{path}: {error}"))
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 /// The image.
@@ -34,9 +38,34 @@ pub fn uart_image() -> Vec<u8> {
     named("HAPTIMILL_UART_IMAGE")
 }
 
+/// The image with a log, and its ELF file, which has the texts.
+pub fn log_image() -> (Vec<u8>, Vec<u8>) {
+    let variable = "HAPTIMILL_LOG_IMAGE";
+    (named(variable), file(variable))
+}
+
 /// The image with encoders.
 pub fn encoder_image() -> Vec<u8> {
     named("HAPTIMILL_ENCODER_IMAGE")
+}
+
+/// Addresses and currents of the chips of joints x, y and z.
+pub const CHIPS: [(u8, f64, f64); 3] = [(2, 0.8, 0.4), (0, 1.2, 0.6), (1, 0.5, 0.1)];
+
+/// A machine of three step drives that have these chips.
+pub fn with_chips(machine: &MachineFile) -> MachineFile {
+    let mut parts = machine.text.split("hold_us = 5.0\ndirection = 1\n");
+    let mut text = parts.next().expect("a first part").to_string();
+    let mut count = 0;
+    for ((address, run, hold), part) in CHIPS.iter().zip(parts) {
+        text.push_str(&format!(
+            "hold_us = 5.0\ndirection = 1\n\n[joint.drive.tmc2209]\naddress = {address}\n\
+             microsteps = 16\nrun_current_a = {run}\nhold_current_a = {hold}\n{part}"
+        ));
+        count += 1;
+    }
+    assert_eq!(count, CHIPS.len(), "the file has three drives");
+    MachineFile::parse(&machine.file, &text).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// A machine whose first joints have encoders of this many counts in a turn of their motors.
@@ -283,7 +312,8 @@ pub fn enabled_with_encoders(machine: &MachineFile) -> Session<Pico2> {
     enabled_board(board, machine)
 }
 
-fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
+/// As [`enabled`], with this board.
+pub fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
     let mut session = session(board, machine);
     session.enable().expect("the drives are ready");
     session
