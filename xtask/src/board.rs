@@ -51,7 +51,9 @@ impl<'a> Variant<'a> {
                     variant.period_us = words.next().copied()
                 }
                 LOG if !variant.log => variant.log = true,
-                option if option != LOG && variant.option.is_none() => variant.option = Some(option),
+                option if option != LOG && variant.option.is_none() => {
+                    variant.option = Some(option)
+                }
                 _ => return None,
             }
         }
@@ -139,7 +141,7 @@ const STM32: Board = Board {
     binary: "haptimill-stm32",
     others: &[],
     options: &[],
-    has_log: false,
+    has_log: true,
     periods: &[],
     has_uf2: false,
     flash: 384 * 1024,
@@ -320,10 +322,10 @@ impl Board {
         variant: &Variant<'_>,
     ) -> Result<PathBuf, String> {
         let mut arguments = Vec::new();
-        if let Some(option) = variant.option {
-            if !self.options.contains(&option) {
-                return Err(format!("the board {} has no option '{option}'", self.name));
-            }
+        if let Some(option) = variant.option
+            && !self.options.contains(&option)
+        {
+            return Err(format!("the board {} has no option '{option}'", self.name));
         }
         if variant.log && !self.has_log {
             return Err(format!("the board {} has no log", self.name));

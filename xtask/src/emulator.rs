@@ -66,7 +66,10 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
         let image = board.uf2(&board.build_variant(root, true, &PERIOD_320_US)?)?;
         cargo.env("HAPTIMILL_320_US_IMAGE", image);
         // Its ELF file has the texts of the log.
-        cargo.env("HAPTIMILL_LOG_IMAGE", board.build_variant(root, true, &LOG)?);
+        cargo.env(
+            "HAPTIMILL_LOG_IMAGE",
+            board.build_variant(root, true, &LOG)?,
+        );
     }
     if task != Task::Slot {
         let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;

@@ -19,7 +19,6 @@
 //! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
-//! | `log` | first lines of the log, with the feature `log` |
 //!
 //! All memory accesses and instructions that need `unsafe` are in this crate and in
 //! `haptimill_board_cortex`.
@@ -40,8 +39,6 @@ mod flash;
 #[cfg(not(feature = "encoders"))]
 mod levels;
 mod link;
-#[cfg(feature = "log")]
-mod log;
 mod period;
 mod pins;
 mod record;
@@ -68,7 +65,13 @@ use uart as line;
 #[cfg(not(feature = "uart"))]
 use usb as line;
 
+#[cfg(feature = "log")]
+use haptimill_board_common::log;
 use haptimill_board_cortex::guard::limit_stack;
+
+/// Name and version of the image in its log.
+#[cfg(feature = "log")]
+const IMAGE: &str = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -76,7 +79,7 @@ fn main() -> ! {
     vectors::move_to_ram();
     let cause = ending::take_cause();
     #[cfg(feature = "log")]
-    log::start(cause);
+    log::start(IMAGE, clocks::PERIOD_US, cause, ending::last_place());
     clocks::start();
     pins::start();
     let (wire, bytes) = link::start();

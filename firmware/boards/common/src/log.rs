@@ -1,23 +1,22 @@
-//! First lines of the log: which image runs, and why the chip was reset.
+//! First lines of a log: which image runs, and why the chip was reset.
 
-use crate::clocks::PERIOD_US;
-use crate::ending;
-use haptimill_board_common::reset_cause::Cause;
+use crate::reset_cause::Cause;
 use haptimill_protocol::message::PROTOCOL_VERSION;
 use haptimill_protocol::schema::schema_hash;
 
-/// Writes them. `cause` is that of the reset. The code is in the flash (`image.x`).
+/// Logs them. `image` is the name of the image with its version, `period_us` its control period,
+/// `cause` that of the reset; `place` is the source line of a panic, or the address of the
+/// instruction that failed.
 #[cold]
 #[inline(never)]
-pub fn start(cause: Cause) {
+pub fn start(image: &str, period_us: u16, cause: Cause, place: u32) {
     defmt::info!(
-        "haptimill-pico2 {=str}, protocol {=u16}, messages {=u64:016x}, control period {=u16} us",
-        env!("CARGO_PKG_VERSION"),
+        "{=str}, protocol {=u16}, messages {=u64:016x}, control period {=u16} us",
+        image,
         PROTOCOL_VERSION,
         schema_hash(),
-        PERIOD_US,
+        period_us,
     );
-    let place = ending::last_place();
     match cause {
         Cause::Power => defmt::info!("reset: {}", cause),
         Cause::Watchdog => defmt::error!("reset: {}", cause),
