@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{board_with, enabled_board, image, log_image, mill, with_chips};
+use common::{LOG_IMAGE, board_with, enabled_board, image, log_image, mill, path, with_chips};
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
@@ -10,6 +10,8 @@ use haptimill_emulator::pico2::Pico2;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
+use std::path::Path;
+use std::process;
 
 /// Largest difference between the moments in their control periods at which two of them begin,
 /// cycles: 0.2 us, as in `jitter.rs`.
@@ -49,6 +51,24 @@ fn run(image: &[u8], machine: &MachineFile) -> Pico2 {
     board
 }
 
+/// The lines of a log, by the program that prints the log of the emulated Cortex-M4F: it has the
+/// decoder of defmt, and a lock file of its own.
+fn decoded(log: &[u8]) -> Vec<String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pico2.log");
+    std::fs::write(&file, log).expect("written");
+    let output = process::Command::new(env!("CARGO"))
+        .args(["run", "--quiet", "--locked", "--manifest-path"])
+        .arg(root.join("tests/log/Cargo.toml"))
+        .arg("--")
+        .args([Path::new(&path(LOG_IMAGE)), &file])
+        .output()
+        .expect("cargo starts");
+    let [text, problem] = [output.stdout, output.stderr].map(|it| String::from_utf8(it));
+    assert!(output.status.success(), "{}", problem.expect("text"));
+    text.expect("text").lines().map(String::from).collect()
+}
+
 /// Asserts that the log has these lines in this order; others may be between them.
 fn assert_has(lines: &[String], expected: &[&str]) {
     let mut rest = lines.iter();
@@ -77,21 +97,19 @@ fn period(line: &str) -> u64 {
 #[test]
 fn the_log_says_what_happens_and_moves_no_edge() {
     let machine = with_chips(&mill());
-    let (flash, elf) = log_image();
     let mut plain = run(&image(), &machine);
     assert!(plain.log().is_empty());
-    let mut board = run(&flash, &machine);
-    let lines = haptimill_log::decode(&elf, board.log()).expect("the log of this image");
+    let mut board = run(&log_image(), &machine);
+    let lines = decoded(board.log());
     lines.iter().for_each(|line| println!("{line}"));
     println!("{} bytes, {} lines", board.log().len(), lines.len());
-    assert_has(
-        &lines,
-        &[
-        ],
-    );
+    assert_has(&lines, &[]);
     assert!(lines.is_sorted_by_key(|line| period(line)), "{lines:#?}");
 
-    let (without, with) = (Checks::of(&mut plain, &machine), Checks::of(&mut board, &machine));
+    let (without, with) = (
+        Checks::of(&mut plain, &machine),
+        Checks::of(&mut board, &machine),
+    );
     println!("{with}");
     assert!(with.passed());
     assert_eq!(with.missed_enabled, 0);
@@ -103,8 +121,14 @@ fn the_log_says_what_happens_and_moves_no_edge() {
     for (plain, logged) in pairs {
         assert_eq!(plain.commands, logged.commands, "{}", logged.inputs.period);
         let more = i64::from(logged.busy) - i64::from(plain.busy);
-        if lines.iter().any(|line| period(line) == logged.inputs.period) {
-            println!("control period {}: {more} cycles more", logged.inputs.period);
+        if lines
+            .iter()
+            .any(|line| period(line) == logged.inputs.period)
+        {
+            println!(
+                "control period {}: {more} cycles more",
+                logged.inputs.period
+            );
             logging = logging.max(more);
         } else {
             silent = (silent.0 + more, silent.1 + 1);

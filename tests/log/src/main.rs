@@ -1,5 +1,7 @@
 //! `haptimill-log IMAGE LOG`: prints the log of an emulated chip as text (`cargo xtask log`).
 
+mod decode;
+
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -12,7 +14,7 @@ fn main() -> ExitCode {
         std::fs::read(file)
             .map_err(|error| format!("{}: {error}", std::path::Path::new(file).display()))
     };
-    let lines = read(image).and_then(|image| haptimill_log::decode(&image, &read(log)?));
+    let lines = read(image).and_then(|image| decode::decode(&image, &read(log)?));
     match lines {
         Ok(lines) => {
             lines.iter().for_each(|line| println!("{line}"));

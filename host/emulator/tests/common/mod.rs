@@ -15,17 +15,18 @@ use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Fault;
 use std::sync::Arc;
 
-/// Contents of the flash of an image that a variable names.
-fn named(variable: &str) -> Vec<u8> {
-    flash(&file(variable)).unwrap_or_else(|error| panic!("{variable}: {error}"))
+/// The path that a variable has.
+pub fn path(variable: &str) -> String {
+    std::env::var(variable).unwrap_or_else(|_| {
+        panic!("{variable} is the path of an image; `cargo xtask emulator` sets it")
+    })
 }
 
-/// The file that a variable names.
-fn file(variable: &str) -> Vec<u8> {
-    let path = std::env::var(variable).unwrap_or_else(|_| {
-        panic!("{variable} is the path of an image; `cargo xtask emulator` sets it")
-    });
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+/// Contents of the flash of an image that a variable names.
+fn named(variable: &str) -> Vec<u8> {
+    let path = path(variable);
+    let file = std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"));
+    flash(&file).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 /// The image.
@@ -38,10 +39,12 @@ pub fn uart_image() -> Vec<u8> {
     named("HAPTIMILL_UART_IMAGE")
 }
 
-/// The image with a log, and its ELF file, which has the texts.
-pub fn log_image() -> (Vec<u8>, Vec<u8>) {
-    let variable = "HAPTIMILL_LOG_IMAGE";
-    (named(variable), file(variable))
+/// The variable with the ELF file of the image with a log: it has the texts.
+pub const LOG_IMAGE: &str = "HAPTIMILL_LOG_IMAGE";
+
+/// The image with a log.
+pub fn log_image() -> Vec<u8> {
+    named(LOG_IMAGE)
 }
 
 /// The image with encoders.

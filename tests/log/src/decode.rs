@@ -3,7 +3,7 @@
 
 use defmt_decoder::{DecodeError, Table};
 
-/// Returns the lines of a log: timestamp (the control period), level, text. `image` is the ELF file.
+/// Returns the lines of a log: timestamp (the control period), level, text.
 ///
 /// # Errors
 /// The image has no texts, or the log belongs to another image.
