@@ -101,7 +101,7 @@ pub struct Pico2 {
     records: Vec<[u32; WORDS]>,
     last: u32,
     /// The log, if the image writes one.
-    log: Option<Rtt>,
+    pub log: Option<Rtt>,
 }
 
 impl Pico2 {
@@ -395,12 +395,6 @@ impl Pico2 {
         if let Some(log) = &mut self.log {
             log.read(&mut self.chip);
         }
-    }
-
-    /// Bytes of the log; none if the image writes no log.
-    #[must_use]
-    pub fn log(&self) -> &[u8] {
-        self.log.as_ref().map_or(&[], Rtt::bytes)
     }
 
     /// Keeps the record of the last control period, if it is a new one. Callers of

@@ -17,7 +17,10 @@ const READ: u32 = 40;
 pub struct Rtt {
     /// Address of the control block.
     block: u32,
-    bytes: Vec<u8>,
+    /// All bytes of the log.
+    pub bytes: Vec<u8>,
+    /// No probe reads it now.
+    pub is_unread: bool,
 }
 
 impl Rtt {
@@ -31,14 +34,15 @@ impl Rtt {
         Some(Self {
             block,
             bytes: Vec::new(),
+            is_unread: false,
         })
     }
 
-    /// Takes what the image has written since the last call.
+    /// Takes what the image has written since the last call, if a probe reads it.
     pub fn read(&mut self, chip: &mut Chip) {
         let [buffer, size, written, mut read] =
             [BUFFER, SIZE, WRITTEN, READ].map(|at| chip.memory(self.block + at));
-        if read == written {
+        if self.is_unread || read == written {
             return;
         }
         while read != written {
@@ -48,11 +52,5 @@ impl Rtt {
             read = (read + 1) % size;
         }
         chip.set_memory(self.block + READ, read);
-    }
-
-    /// All bytes of the log.
-    #[must_use]
-    pub fn bytes(&self) -> &[u8] {
-        &self.bytes
     }
 }
