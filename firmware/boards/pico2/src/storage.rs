@@ -74,7 +74,7 @@ pub fn serve(wait: impl FnMut()) {
         return;
     }
     #[cfg(feature = "log")]
-    defmt::info!("the flash is written");
+    defmt::info!("write to the flash: begun");
     // SAFETY: in this state no other code uses it.
     let buffer = unsafe { BUFFER.get() };
     let length = LENGTH.load(Ordering::Relaxed);
@@ -91,5 +91,5 @@ pub fn serve(wait: impl FnMut()) {
         Storage::Failed
     });
     #[cfg(feature = "log")]
-    defmt::info!("the flash is written no more: {}", state());
+    defmt::info!("write to the flash: {}", state());
 }
