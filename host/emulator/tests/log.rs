@@ -19,7 +19,7 @@ use std::process;
 const JITTER: u32 = 30;
 /// Largest numbers of cycles by which a control period is longer than without a log: with the three
 /// lines of a fault, and on average without a line.
-const FAULT_CYCLES: i64 = 3000;
+const FAULT_CYCLES: i64 = 6000;
 const SILENT_CYCLES: f64 = 150.0;
 /// Refusals whose lines need more room than the buffer has.
 const REFUSALS: usize = 100;
