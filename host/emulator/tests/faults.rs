@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{board_with, enabled, fault, mill, session, uart_image};
+use common::{board_with, enabled, fault, hang, mill, session, uart_image};
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
@@ -13,8 +13,6 @@ use haptimill_protocol::message::{Command, Fault, State};
 /// Pins of the home switches of the joints, and of the alarm of the drives.
 const HOME_PINS: u32 = 0x1F << 15;
 const ALARM_PIN: u32 = 1 << 28;
-/// Entry of PendSV in the vector table.
-const PEND_SV: u32 = 0x1000_0038;
 /// Control periods of the watchdog: 20 ms.
 const WATCHDOG: usize = 100;
 
@@ -38,17 +36,6 @@ fn alone(board: &mut Pico2, periods: usize) {
     for _ in 0..periods {
         board.run_period().expect("the emulator runs");
     }
-}
-
-/// Makes the handler of the control period an endless loop.
-fn hang(board: &mut Pico2) {
-    let handler = board.chip().memory(PEND_SV) & !1;
-    let word = handler & !3;
-    let code = match handler & 2 {
-        0 => 0xE7FE_E7FE,
-        _ => board.chip().memory(word) & 0xFFFF | 0xE7FE_0000,
-    };
-    board.chip().set_code(word, code);
 }
 
 /// A control period that never ends: the charge pump stands, no pulse leaves, the watchdog resets

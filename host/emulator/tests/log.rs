@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{LOG_IMAGE, board_with, enabled_board, image, log_image, mill, path, with_chips};
+use common::{
+    LOG_IMAGE, board_with, enabled_board, hang, image, log_image, mill, path, with_chips,
+};
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
@@ -21,6 +23,9 @@ const JITTER: u32 = 30;
 /// lines of a fault, and on average without a line.
 const FAULT_CYCLES: i64 = 6000;
 const SILENT_CYCLES: f64 = 150.0;
+/// Control periods in which the watchdog has reset the chip, and the image runs again: its start
+/// takes some.
+const WATCHDOG: usize = 150;
 /// Refusals whose lines need more room than the buffer has.
 const REFUSALS: usize = 100;
 
@@ -166,14 +171,31 @@ fn the_log_says_what_happens_and_moves_no_edge() {
     let mean = silent.iter().sum::<i64>() as f64 / silent.len() as f64;
     println!(
         "cycles with and without a log: {fault} and {before} of the fault; {} and {} of the worst \
-         control period; {mean:.0} more on average without a line, of {} control periods",
+         control period, which begin {:?} and {:?} late; {mean:.0} more on average without a line, of {} control periods",
         with.busy,
         without.busy,
+        with.late,
+        without.late,
         silent.len()
     );
     assert!(silent.len() >= 200, "{}", silent.len());
     assert!(fault - before <= FAULT_CYCLES, "{fault} {before}");
     assert!(mean <= SILENT_CYCLES, "{mean}");
+}
+
+/// After a reset by the watchdog the log begins again, with the cause.
+#[test]
+fn the_log_names_the_cause_of_a_reset() {
+    let mut board = board_with(&log_image(), &mill());
+    hang(&mut board);
+    for _ in 0..WATCHDOG {
+        board.run_period().expect("the emulator runs");
+    }
+    assert_eq!(board.chip().resets(), 1);
+    let lines = decoded(&board);
+    let resets = lines.iter().filter(|line| line.contains(" reset: "));
+    let resets: Vec<&str> = resets.map(|line| line[11..].trim()).collect();
+    assert_eq!(resets, ["info  reset: Power", "error reset: Watchdog"]);
 }
 
 /// Without a probe the board goes on: the first lines stay in the buffer, and others are lost as a

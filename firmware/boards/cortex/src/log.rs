@@ -1,6 +1,6 @@
 //! The log of a board: defmt frames over RTT, which a debug probe reads while the board runs.
 //!
-//! A line never waits, and no interrupt is closed: a line for which the buffer has no room is
+//! A line never waits, and no interrupt is disabled: a line for which the buffer has no room is
 //! dropped as a whole, and so is one of a handler that interrupts another line. The timestamp of a
 //! line is the control period.
 

@@ -22,6 +22,9 @@ pub fn path(variable: &str) -> String {
     })
 }
 
+/// Entry of PendSV in the vector table.
+const PEND_SV: u32 = 0x1000_0038;
+
 /// Contents of the flash of an image that a variable names.
 fn named(variable: &str) -> Vec<u8> {
     let path = path(variable);
@@ -271,6 +274,17 @@ pub fn fault(board: &Pico2, period_us: u16) -> Option<Fault> {
         assert_eq!(outputs.joints[..period.commands.len()], period.commands);
     }
     controller.safety().fault()
+}
+
+/// Makes the handler of the control period an endless loop.
+pub fn hang(board: &mut Pico2) {
+    let handler = board.chip().memory(PEND_SV) & !1;
+    let word = handler & !3;
+    let code = match handler & 2 {
+        0 => 0xE7FE_E7FE,
+        _ => board.chip().memory(word) & 0xFFFF | 0xE7FE_0000,
+    };
+    board.chip().set_code(word, code);
 }
 
 /// A session with a board that has its configuration.
