@@ -201,6 +201,8 @@ fn install(core: &mut Core, staged: &[u8], crc: u32, inputs: &Inputs, at_preset:
     if let (Some(positions), false) = (&master, at_preset) {
         machine.take_over_haptics(positions);
     }
+    #[cfg(feature = "defmt")]
+    defmt::info!("configuration {=u32:08x}: {}", crc, config.name.as_str());
     Ok(())
 }
 

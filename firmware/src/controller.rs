@@ -62,6 +62,8 @@ impl Controller {
         profiler.mark(Stage::Receive);
         let Self { server, core } = self;
 
+        #[cfg(feature = "defmt")]
+        crate::log::inputs(core, inputs);
         core.measure(inputs);
         profiler.mark(Stage::Measure);
 

@@ -20,6 +20,9 @@ pub(crate) struct Core {
     pub power_on: SincePowerOn,
     /// What the board keeps without a supply.
     pub kept: Kept,
+    /// The alarms of drives that were logged last.
+    #[cfg(feature = "defmt")]
+    pub alarms: haptimill_protocol::message::Alarms,
 }
 
 /// The job that runs, and the state that commands and faults set for later periods.
@@ -93,6 +96,8 @@ impl Core {
             },
             power_on: SincePowerOn::default(),
             kept: Kept::Unsupported,
+            #[cfg(feature = "defmt")]
+            alarms: haptimill_protocol::message::Alarms::default(),
         }
     }
 

@@ -99,6 +99,7 @@ pub use haptimill_protocol::message::ANALOG;
 
 /// What a board says of its memory for a configuration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Storage {
     /// It has none.
     #[default]

@@ -23,6 +23,8 @@ pub mod haptics;
 pub mod io;
 pub mod joint;
 pub mod kept;
+#[cfg(feature = "defmt")]
+mod log;
 pub mod machine;
 mod modes;
 pub mod motion;

@@ -17,6 +17,8 @@ pub struct Board {
     others: &'static [(&'static str, &'static str, &'static [&'static str])],
     /// Features of the product image that one can choose: `cargo xtask board NAME --FEATURE`.
     pub options: &'static [&'static str],
+    /// Any of its product images can log: `cargo xtask board NAME --log`.
+    has_log: bool,
     /// Control periods of the images of a release besides the one that a build has without
     /// `--period`, us; empty if the board has one period only.
     pub periods: &'static [&'static str],
@@ -32,12 +34,14 @@ pub struct Board {
 pub struct Variant<'a> {
     /// A feature.
     pub option: Option<&'a str>,
+    /// The image logs, too.
+    pub log: bool,
     /// The control period, us; the build script of the board knows which there are.
     pub period_us: Option<&'a str>,
 }
 
 impl<'a> Variant<'a> {
-    /// Reads `--OPTION` and `--period US`; `None` for other words.
+    /// Reads `--OPTION`, `--log` and `--period US`; `None` for other words.
     pub fn of(words: &[&'a str]) -> Option<Self> {
         let mut variant = Self::default();
         let mut words = words.iter();
@@ -46,7 +50,10 @@ impl<'a> Variant<'a> {
                 "period" if variant.period_us.is_none() => {
                     variant.period_us = words.next().copied()
                 }
-                option if variant.option.is_none() => variant.option = Some(option),
+                LOG if !variant.log => variant.log = true,
+                option if option != LOG && variant.option.is_none() => {
+                    variant.option = Some(option)
+                }
                 _ => return None,
             }
         }
@@ -55,11 +62,19 @@ impl<'a> Variant<'a> {
 
     /// What the names of its files end with.
     pub fn suffix(&self) -> String {
-        let option = self.option.map(|option| format!("-{option}"));
+        let options = self.features().map(|option| format!("-{option}"));
         let period = self.period_us.map(|period| format!("-{period}us"));
-        option.into_iter().chain(period).collect()
+        options.chain(period).collect()
+    }
+
+    /// Features of its image.
+    fn features(&self) -> impl Iterator<Item = &'a str> {
+        self.option.into_iter().chain(self.log.then_some(LOG))
     }
 }
+
+/// The feature of images that log.
+const LOG: &str = "log";
 
 /// Optimises the controller and the link for speed.
 const FOR_SPEED: [&str; 2] = [
@@ -88,6 +103,7 @@ const MPS2: Board = Board {
         ("logging", "defmt", &[]),
     ],
     options: &[],
+    has_log: false,
     periods: &[],
     has_uf2: false,
     flash: 256 * 1024,
@@ -110,6 +126,7 @@ const PICO2: Board = Board {
     binary: "haptimill-pico2",
     others: &[],
     options: &["uart", "encoders"],
+    has_log: true,
     periods: &[THREE_JOINTS_US, FIVE_JOINTS_US],
     has_uf2: true,
     flash: 384 * 1024,
@@ -124,6 +141,7 @@ const STM32: Board = Board {
     binary: "haptimill-stm32",
     others: &[],
     options: &[],
+    has_log: true,
     periods: &[],
     has_uf2: false,
     flash: 384 * 1024,
@@ -304,11 +322,16 @@ impl Board {
         variant: &Variant<'_>,
     ) -> Result<PathBuf, String> {
         let mut arguments = Vec::new();
-        if let Some(option) = variant.option {
-            if !self.options.contains(&option) {
-                return Err(format!("the board {} has no option '{option}'", self.name));
-            }
-            arguments.extend(["--features", option]);
+        if let Some(option) = variant.option
+            && !self.options.contains(&option)
+        {
+            return Err(format!("the board {} has no option '{option}'", self.name));
+        }
+        if variant.log && !self.has_log {
+            return Err(format!("the board {} has no log", self.name));
+        }
+        for feature in variant.features() {
+            arguments.extend(["--features", feature]);
         }
         if variant.period_us.is_some() && self.periods.is_empty() {
             return Err(format!("the board {} has one control period", self.name));

@@ -17,15 +17,24 @@ const BOARD: &str = "pico2";
 /// Variants of the image that are tested, too.
 const UART: Variant<'_> = Variant {
     option: Some("uart"),
+    log: false,
     period_us: None,
 };
 const ENCODERS: Variant<'_> = Variant {
     option: Some("encoders"),
+    log: false,
     period_us: None,
 };
 const PERIOD_320_US: Variant<'_> = Variant {
     option: None,
+    log: false,
     period_us: Some("320"),
+};
+
+const LOG: Variant<'_> = Variant {
+    option: None,
+    log: true,
+    period_us: None,
 };
 
 /// What is done with the repaired emulator.
@@ -56,6 +65,11 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
         cargo.env("HAPTIMILL_UART_IMAGE", image);
         let image = board.uf2(&board.build_variant(root, true, &PERIOD_320_US)?)?;
         cargo.env("HAPTIMILL_320_US_IMAGE", image);
+        // Its ELF file has the texts of the log.
+        cargo.env(
+            "HAPTIMILL_LOG_IMAGE",
+            board.build_variant(root, true, &LOG)?,
+        );
     }
     if task != Task::Slot {
         let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;
@@ -99,6 +113,7 @@ pub fn margin(root: &Path, period_us: &str) -> Result<(), String> {
     let image = |option| {
         let variant = Variant {
             option,
+            log: false,
             period_us: Some(period_us),
         };
         board.uf2(&board.build_variant(root, true, &variant)?)

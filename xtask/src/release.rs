@@ -26,10 +26,12 @@ pub fn images(root: &Path) -> Result<Vec<PathBuf>, String> {
     for board in BOARDS.iter().filter(|board| board.has_uf2) {
         let options = board.options.iter().map(|option| Variant {
             option: Some(option),
+            log: false,
             period_us: None,
         });
         let periods = board.periods.iter().map(|period| Variant {
             option: None,
+            log: false,
             period_us: Some(period),
         });
         for variant in options.chain(periods).chain([Variant::default()]) {

@@ -14,6 +14,11 @@ const LONGEST_WITH_UART: u32 = 250;
 fn main() {
     let here = env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
     println!("cargo:rustc-link-arg-bins=-T{here}/image.x");
+    if env::var_os("CARGO_FEATURE_LOG").is_some() {
+        // The texts of the log have a section of their own, which is in the image's file and not in
+        // the flash.
+        println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    }
     println!("cargo:rerun-if-changed=image.x");
     println!("cargo:rerun-if-env-changed={VARIABLE}");
     println!("cargo:rerun-if-changed=build.rs");

@@ -185,6 +185,8 @@ impl Server {
         if outcome == HelloOutcome::Begun {
             self.reset();
             self.session_begun = true;
+            #[cfg(feature = "defmt")]
+            defmt::info!("a session begins");
         }
     }
 

@@ -98,4 +98,6 @@ pub(crate) fn restore(core: &mut Core, kept: Option<&[u8]>) {
             }
         }
     };
+    #[cfg(feature = "defmt")]
+    defmt::info!("kept configuration: {}", core.kept);
 }

@@ -200,8 +200,6 @@ impl Safety {
                 self.position_lost = true;
                 self.lose_position();
             }
-            #[cfg(feature = "defmt")]
-            defmt::info!("{} -> {}", from, state);
             self.push_event(Event::State {
                 from,
                 to: state,
@@ -260,8 +258,6 @@ impl Safety {
             _ => fault,
         };
         self.fault = Some(fault);
-        #[cfg(feature = "defmt")]
-        defmt::error!("fault latched: {}", fault);
         self.push_event(Event::Fault(fault));
         self.enter(State::Fault);
     }
@@ -299,6 +295,11 @@ impl Safety {
     /// events explain the present state.
     #[inline(never)]
     pub fn push_event(&mut self, event: Event) {
+        #[cfg(feature = "defmt")]
+        match &event {
+            Event::Fault(fault) => defmt::error!("fault: {}", fault),
+            event => defmt::info!("{}", event),
+        }
         if self.events.is_full() {
             self.events.pop_front();
             self.events_lost = self.events_lost.saturating_add(1);

@@ -14,5 +14,6 @@ pub mod encoders;
 pub mod flash;
 pub mod image;
 pub mod pico2;
+pub mod rtt;
 pub mod signals;
 pub mod usb_host;

@@ -3,6 +3,7 @@
 use crate::chain::Chain;
 use crate::chip::{CLOCK_HZ, Chip};
 use crate::encoders::Encoders;
+use crate::rtt::Rtt;
 use crate::signals::Signals;
 use haptimill_client::port::PortError;
 use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
@@ -27,6 +28,8 @@ const BOOT_PERIODS: u32 = 500;
 /// The stack lies at the start of the RAM; the start code of the image fills it with this word.
 const STACK_END: u32 = 0x2000_0000;
 const STACK_PAINT: u32 = 0xCCCC_CCCC;
+/// End of the RAM.
+const RAM_END: u32 = 0x2008_2000;
 /// Start of the flash, whose first word is the other end of the stack.
 const VECTORS: u32 = 0x1000_0000;
 
@@ -97,6 +100,8 @@ pub struct Pico2 {
     /// Their records, until they are taken.
     records: Vec<[u32; WORDS]>,
     last: u32,
+    /// The log, if the image writes one.
+    pub log: Option<Rtt>,
 }
 
 impl Pico2 {
@@ -131,10 +136,12 @@ impl Pico2 {
             periods: Vec::new(),
             records: Vec::new(),
             last: u32::MAX,
+            log: None,
         };
         board.record = board.chip.memory(VECTORS);
         board.drive_inputs();
         board.boot()?;
+        board.log = Rtt::find(&mut board.chip, board.record..RAM_END);
         board.start_stack = board.used_stack();
         // What is below the stack pointer is free: fill it again.
         for address in (STACK_END..board.chip.core_register(13)).step_by(4) {
@@ -378,7 +385,16 @@ impl Pico2 {
                 .follow(&mut self.plant, start_ns, self.chip.cycles());
         }
         self.drive_inputs();
+        self.read_log();
         Ok(())
+    }
+
+    /// Takes what the image has written to its log. Callers of [`Pico2::run_cycles`] must call it
+    /// before the buffer of the log is full.
+    pub fn read_log(&mut self) {
+        if let Some(log) = &mut self.log {
+            log.read(&mut self.chip);
+        }
     }
 
     /// Keeps the record of the last control period, if it is a new one. Callers of

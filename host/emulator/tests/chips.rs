@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{bench, board, board_with, mill, session, uart_image};
+use common::{CHIPS, bench, board, board_with, mill, session, uart_image, with_chips};
 use haptimill_client::client::Options;
 use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move};
 use haptimill_emulator::checks::Checks;
@@ -17,25 +17,6 @@ use std::sync::Arc;
 const IO_BANK0: u32 = 0x4002_8000;
 const UART: u32 = 2;
 const ENABLE: u32 = 12;
-
-/// Addresses and currents of the chips of joints x, y and z.
-const CHIPS: [(u8, f64, f64); 3] = [(2, 0.8, 0.4), (0, 1.2, 0.6), (1, 0.5, 0.1)];
-
-/// A machine of three step drives that have these chips.
-fn with_chips(machine: &MachineFile) -> MachineFile {
-    let mut parts = machine.text.split("hold_us = 5.0\ndirection = 1\n");
-    let mut text = parts.next().expect("a first part").to_string();
-    let mut count = 0;
-    for ((address, run, hold), part) in CHIPS.iter().zip(parts) {
-        text.push_str(&format!(
-            "hold_us = 5.0\ndirection = 1\n\n[joint.drive.tmc2209]\naddress = {address}\n\
-             microsteps = 16\nrun_current_a = {run}\nhold_current_a = {hold}\n{part}"
-        ));
-        count += 1;
-    }
-    assert_eq!(count, CHIPS.len(), "the file has three drives");
-    MachineFile::parse(&machine.file, &text).unwrap_or_else(|error| panic!("{error}"))
-}
 
 fn functions(board: &mut Pico2) -> [u32; 2] {
     [0, 1].map(|pin| board.chip().register(IO_BANK0 + 4 + 8 * pin) & 0x1F)

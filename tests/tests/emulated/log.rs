@@ -73,11 +73,12 @@ fn the_log_reports_states_and_faults_and_changes_no_output() {
     let texts: Vec<&str> = lines.iter().map(|line| line[11..].trim()).collect();
     let expected = [
         "info  a run begins, 200 us a period",
-        "info  Disabled -> Idle",
-        "info  Idle -> Homing",
-        "info  Homing -> Idle",
-        "info  Idle -> Run",
-        "error fault latched: Drive { joint: 1, alarm: Input }",
+        "info  State { from: Disabled, to: Idle, homed: false }",
+        "info  State { from: Idle, to: Homing, homed: false }",
+        "info  State { from: Homing, to: Idle, homed: true }",
+        "info  State { from: Idle, to: Run, homed: true }",
+        "warn  drive of joint 1: Input",
+        "error fault: Drive { joint: 1, alarm: Input }",
     ];
     let mut rest = texts.iter();
     for text in expected {
@@ -89,12 +90,12 @@ fn the_log_reports_states_and_faults_and_changes_no_output() {
     // The time stamps are control periods: they increase, and the fault comes 8 s after the start.
     let stamp = |line: &String| line[..10].trim().parse::<u32>().expect("a number");
     assert!(lines.is_sorted_by_key(stamp));
-    let fault = lines.iter().find(|line| line.contains("latched"));
+    let fault = lines.iter().find(|line| line.contains("fault:"));
     assert_eq!(fault.map(stamp), Some(40_000));
 
     // Log texts are in the file and not in the flash. A text of the product is in both.
     let flash = loaded_bytes(&bytes);
-    assert!(contains(&bytes, "fault latched") && !contains(&flash, "fault latched"));
+    assert!(contains(&bytes, "drive of joint") && !contains(&flash, "drive of joint"));
     assert!(contains(&flash, "the simulator has gone"));
     std::fs::write(&file, [1, 2, 3, 0]).expect("written");
     let refused = decoded(&image, &file).expect_err("of no image");

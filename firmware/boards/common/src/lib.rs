@@ -8,6 +8,8 @@ pub mod counter;
 pub mod encoder_words;
 pub mod lamp;
 pub mod link;
+#[cfg(feature = "defmt")]
+pub mod log;
 pub mod period_record;
 pub mod reset_cause;
 pub mod shift_chain;

@@ -7,6 +7,7 @@ pub const ENDED: u32 = 0x6C69_4D48;
 
 /// Why the chip was reset; its value is the number of flashes of a lamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Cause {
     /// Power, the reset pin, or the boot loader after it took a new image.
     Power = 1,

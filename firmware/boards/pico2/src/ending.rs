@@ -35,6 +35,12 @@ pub fn last_cause() -> u8 {
     LAST.load(Ordering::Relaxed)
 }
 
+/// Line of the panic, or address of the instruction that failed, of an earlier end.
+#[cfg(feature = "log")]
+pub fn last_place() -> u32 {
+    read(WATCHDOG, PLACE)
+}
+
 /// Starts the watchdog.
 pub fn start_watchdog() {
     // Everything is reset but the two oscillators.

@@ -65,13 +65,21 @@ use uart as line;
 #[cfg(not(feature = "uart"))]
 use usb as line;
 
+#[cfg(feature = "log")]
+use haptimill_board_common::log;
 use haptimill_board_cortex::guard::limit_stack;
+
+/// Name and version of the image in its log.
+#[cfg(feature = "log")]
+const IMAGE: &str = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
     limit_stack();
     vectors::move_to_ram();
     let cause = ending::take_cause();
+    #[cfg(feature = "log")]
+    log::start(IMAGE, clocks::PERIOD_US, cause, ending::last_place());
     clocks::start();
     pins::start();
     let (wire, bytes) = link::start();

@@ -236,6 +236,8 @@ fn PendSV() {
         filler,
         ..
     } = back;
+    #[cfg(feature = "log")]
+    haptimill_board_cortex::log::begin(inputs.period);
     bytes.waiting.take(inputs);
     inputs.transmit_room = bytes.room();
     outputs.transmit.clear();

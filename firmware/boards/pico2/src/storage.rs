@@ -73,6 +73,8 @@ pub fn serve(wait: impl FnMut()) {
     if state() != Storage::Busy {
         return;
     }
+    #[cfg(feature = "log")]
+    defmt::info!("write to the flash: begun");
     // SAFETY: in this state no other code uses it.
     let buffer = unsafe { BUFFER.get() };
     let length = LENGTH.load(Ordering::Relaxed);
@@ -88,4 +90,6 @@ pub fn serve(wait: impl FnMut()) {
     } else {
         Storage::Failed
     });
+    #[cfg(feature = "log")]
+    defmt::info!("write to the flash: {}", state());
 }

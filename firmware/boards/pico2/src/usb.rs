@@ -103,11 +103,18 @@ impl Between {
         let mut chips = pin!(chips::serve(keeper));
         // The loop polls it again at once: nothing has to wake it.
         let mut context = Context::from_waker(Waker::noop());
+        #[cfg(feature = "log")]
+        let mut was_configured = false;
         let mut turn = || {
             lamp.update();
             let _ = chips.as_mut().poll(&mut context);
             device.poll(&mut [&mut port]);
-            if device.state() == UsbDeviceState::Configured {
+            let is_configured = device.state() == UsbDeviceState::Configured;
+            #[cfg(feature = "log")]
+            if core::mem::replace(&mut was_configured, is_configured) != is_configured {
+                defmt::info!("USB: {}", if is_configured { "connected" } else { "disconnected" });
+            }
+            if is_configured {
                 receive(&mut port, &mut wire);
                 packet.send(&mut port, &mut wire);
             } else {

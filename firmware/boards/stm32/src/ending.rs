@@ -46,6 +46,14 @@ fn keep(words: [u32; 3]) {
     unsafe { KEPT.0.get().write_volatile(words) };
 }
 
+/// Source line of a panic, or address of the instruction that failed, before the last reset.
+/// [`take_cause`] clears it.
+#[cfg(feature = "log")]
+pub fn kept_place() -> u32 {
+    // SAFETY: see `Kept`; every content of the words is valid.
+    unsafe { KEPT.0.get().read_volatile()[2] }
+}
+
 /// Finds the cause of the last reset.
 pub fn take_cause() -> Cause {
     // SAFETY: see `Kept`; every content of the words is valid.

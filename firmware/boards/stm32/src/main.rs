@@ -29,13 +29,24 @@ mod record;
 mod registers;
 mod steps;
 
+#[cfg(feature = "log")]
+use haptimill_board_common::log;
+
+/// Name and version of the image in its log.
+#[cfg(feature = "log")]
+const IMAGE: &str = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let Some(mut core) = cortex_m::Peripherals::take() else {
         panic!("the peripherals of the core are taken once");
     };
     ending::watch(&mut core.SCB, &mut core.MPU);
+    #[cfg(feature = "log")]
+    let place = ending::kept_place();
     let cause = ending::take_cause();
+    #[cfg(feature = "log")]
+    log::start(IMAGE, clocks::PERIOD_US, cause, place);
     clocks::count_cycles(&mut core.DCB, &mut core.DWT);
     pins::start();
     if clocks::start().is_err() {

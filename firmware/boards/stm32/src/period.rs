@@ -220,6 +220,8 @@ fn PendSV() {
         line,
         ..
     } = back;
+    #[cfg(feature = "log")]
+    haptimill_board_cortex::log::begin(inputs.period);
     line.waiting.take(inputs);
     inputs.transmit_room = line.room();
     outputs.transmit.clear();

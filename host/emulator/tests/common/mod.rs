@@ -33,11 +33,16 @@ pub fn replace_period(board: &mut Pico2, instruction: u32) {
     board.chip().set_code(word, code);
 }
 
+/// The path that a variable has.
+pub fn path(variable: &str) -> String {
+    std::env::var(variable).unwrap_or_else(|_| {
+        panic!("{variable} is the path of an image; `cargo xtask emulator` sets it")
+    })
+}
+
 /// Contents of the flash of an image that a variable names.
 fn named(variable: &str) -> Vec<u8> {
-    let path = std::env::var(variable).unwrap_or_else(|_| {
-        panic!("{variable} is the path of an image; `cargo xtask emulator` sets it")
-    });
+    let path = path(variable);
     let file = std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"));
     flash(&file).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
@@ -52,9 +57,36 @@ pub fn uart_image() -> Vec<u8> {
     named("HAPTIMILL_UART_IMAGE")
 }
 
+/// The variable with the ELF file of the image with a log: it has the texts.
+pub const LOG_IMAGE: &str = "HAPTIMILL_LOG_IMAGE";
+
+/// The image with a log.
+pub fn log_image() -> Vec<u8> {
+    named(LOG_IMAGE)
+}
+
 /// The image with encoders.
 pub fn encoder_image() -> Vec<u8> {
     named("HAPTIMILL_ENCODER_IMAGE")
+}
+
+/// Addresses and currents of the chips of joints x, y and z.
+pub const CHIPS: [(u8, f64, f64); 3] = [(2, 0.8, 0.4), (0, 1.2, 0.6), (1, 0.5, 0.1)];
+
+/// A machine of three step drives that have these chips.
+pub fn with_chips(machine: &MachineFile) -> MachineFile {
+    let mut parts = machine.text.split("hold_us = 5.0\ndirection = 1\n");
+    let mut text = parts.next().expect("a first part").to_string();
+    let mut count = 0;
+    for ((address, run, hold), part) in CHIPS.iter().zip(parts) {
+        text.push_str(&format!(
+            "hold_us = 5.0\ndirection = 1\n\n[joint.drive.tmc2209]\naddress = {address}\n\
+             microsteps = 16\nrun_current_a = {run}\nhold_current_a = {hold}\n{part}"
+        ));
+        count += 1;
+    }
+    assert_eq!(count, CHIPS.len(), "the file has three drives");
+    MachineFile::parse(&machine.file, &text).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// A machine whose first joints have encoders of this many counts in a turn of their motors.
@@ -298,7 +330,8 @@ pub fn enabled_with_encoders(machine: &MachineFile) -> Session<Pico2> {
     enabled_board(board, machine)
 }
 
-fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
+/// As [`enabled`], with this board.
+pub fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
     let mut session = session(board, machine);
     session.enable().expect("the drives are ready");
     session
