@@ -109,7 +109,7 @@ const PICO2: Board = Board {
     target: "thumbv8m.main-none-eabihf",
     binary: "haptimill-pico2",
     others: &[],
-    options: &["uart", "encoders"],
+    options: &["uart", "encoders", "spi"],
     periods: &[THREE_JOINTS_US, FIVE_JOINTS_US],
     has_uf2: true,
     flash: 384 * 1024,
