@@ -146,9 +146,7 @@ impl Chip {
     #[must_use]
     pub fn register(&self, register: u8) -> u32 {
         match register {
-            IOIN => {
-                0x30 << 24 | u32::from(self.takes_steps) << 6 | u32::from(!self.enabled) << 4
-            }
+            IOIN => 0x30 << 24 | u32::from(self.takes_steps) << 6 | u32::from(!self.enabled) << 4,
             DRV_STATUS => self.status(),
             _ => index(register).map_or(0, |at| self.values[at]),
         }

@@ -7,9 +7,11 @@ use crate::signals::Signals;
 use haptimill_client::port::PortError;
 use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
+use haptimill_firmware::config::ChipKind;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::plant::Plant;
 use haptimill_hil_sim::tmc2209::{self, Wire};
+use haptimill_hil_sim::tmc5160;
 use haptimill_machine_file::MachineFile;
 use haptimill_pulses::Signal;
 use haptimill_trace::Recorder;
@@ -81,8 +83,8 @@ pub struct Pico2 {
     is_noisy: bool,
     /// Chips of the drives on the wire at GP0 and GP1.
     pub wire: Wire,
-    /// Place on the wire of the chip of each joint; a joint without one has a drive that is set by
-    /// its switches.
+    /// Place of the chip of each joint on the wire or in the chain; a joint without one has a drive
+    /// that is set by its switches.
     chips: [Option<usize>; JOINTS],
     /// Cycles of a bit on the wire.
     bit: u64,
@@ -144,7 +146,7 @@ impl Pico2 {
     }
 
     /// Connects the chips that a machine file has for the drives of its joints, after power-on. An
-    /// image whose line is the UART has no wire for them.
+    /// image whose line is the UART has no wire for them, and only the image with SPI has a chain.
     pub fn connect_chips(&mut self, machine: &MachineFile) {
         self.wire.chips.clear();
         self.chips = [None; JOINTS];
@@ -152,20 +154,50 @@ impl Pico2 {
             return;
         }
         for (place, joint) in self.chips.iter_mut().zip(&machine.config.joints) {
-            if let Some(chip) = joint.tmc2209() {
-                *place = Some(self.wire.chips.len());
-                self.wire.chips.push(tmc2209::Chip::new(chip.address));
+            let Some(chip) = joint.chip() else {
+                continue;
+            };
+            match (chip.kind, &mut self.signals) {
+                (ChipKind::Tmc2209, Signals::Pins | Signals::Chain(_)) => {
+                    *place = Some(self.wire.chips.len());
+                    self.wire.chips.push(tmc2209::Chip::new(chip.place));
+                }
+                (ChipKind::Tmc5160, Signals::Spi(chain)) => {
+                    *place = Some(usize::from(chip.place));
+                    chain.chips.push(tmc5160::Chip::default());
+                }
+                _ => {}
             }
         }
     }
 
-    /// The chip of a joint.
+    /// The chip of a joint on the wire.
     ///
     /// # Panics
     /// The joint has none.
     pub fn drive_chip(&mut self, joint: usize) -> &mut tmc2209::Chip {
         let place = self.chips[joint].expect("a joint with a chip");
         &mut self.wire.chips[place]
+    }
+
+    /// The chain of the TMC5160.
+    ///
+    /// # Panics
+    /// The image has none.
+    pub fn chip_chain(&mut self) -> &mut tmc5160::Chain {
+        match &mut self.signals {
+            Signals::Spi(chain) => chain,
+            _ => panic!("the image has no chain of chips"),
+        }
+    }
+
+    /// The chip of a joint in the chain.
+    ///
+    /// # Panics
+    /// The joint has none.
+    pub fn chain_chip(&mut self, joint: usize) -> &mut tmc5160::Chip {
+        let place = self.chips[joint].expect("a joint with a chip");
+        &mut self.chip_chain().chips[place]
     }
 
     /// Carries the bytes of the wire. The board receives what it sends, a byte later than on a real
@@ -190,7 +222,10 @@ impl Pico2 {
 
     /// The drive of a joint moves its motor.
     fn drives(&self, joint: usize) -> bool {
-        self.chips[joint].is_none_or(|place| self.wire.chips[place].drives())
+        self.chips[joint].is_none_or(|place| match &self.signals {
+            Signals::Spi(chain) => chain.chips[place].drives(),
+            _ => self.wire.chips[place].drives(),
+        })
     }
 
     /// Runs the image until its first control period has ended.
@@ -232,18 +267,16 @@ impl Pico2 {
     pub fn chain(&mut self) -> (&mut Chain, &mut Encoders) {
         match &mut self.signals {
             Signals::Chain(chain) => (&mut chain.0, &mut chain.1),
-            Signals::Pins => panic!("the image has no shift registers"),
+            _ => panic!("the image has no shift registers"),
         }
     }
 
-    /// Drives the pins of shift registers and encoders.
+    /// Drives the pins that follow the board or the time.
     fn serve_signals(&mut self, pins: u32) {
         let levels = self.signals.follow(pins, self.chip.cycles());
-        if let Signals::Chain(_) = self.signals
-            && levels != self.driven & self.signals.mask()
-        {
-            let stop = self.driven & (1 << EMERGENCY_STOP);
-            self.drive(stop | levels);
+        let live = self.signals.live();
+        if levels != self.driven & live {
+            self.drive(self.driven & !live | levels);
         }
     }
 
@@ -416,8 +449,15 @@ impl Pico2 {
         self.pump += u64::from(changed >> CHARGE_PUMP & 1);
         if changed >> ENABLE & 1 != 0 {
             self.lines.enable.changes.push(time);
+            let enabled = levels >> ENABLE & 1 != 0;
             for chip in &mut self.wire.chips {
-                chip.set_enabled(levels >> ENABLE & 1 != 0);
+                chip.set_enabled(enabled);
+            }
+            if let Signals::Spi(chain) = &mut self.signals {
+                chain
+                    .chips
+                    .iter_mut()
+                    .for_each(|chip| chip.set_enabled(enabled));
             }
         }
         for joint in 0..JOINTS {

@@ -3,14 +3,16 @@
 
 mod common;
 
-use common::{bench, board, board_with, mill, session, uart_image};
+use common::{
+    alarms, bench, board, board_with, mill, only, session, steps, uart_image, with_sections,
+};
 use haptimill_client::client::Options;
 use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc2209::GSTAT;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Alarms, Command, DriveAlarm, Fault, State};
+use haptimill_protocol::message::{Command, DriveAlarm, Fault, State};
 use std::sync::Arc;
 
 /// Registers of the pins GP0 and GP1 (RP2350 datasheet, 9.11): function, and the outputs of UART0.
@@ -23,38 +25,17 @@ const CHIPS: [(u8, f64, f64); 3] = [(2, 0.8, 0.4), (0, 1.2, 0.6), (1, 0.5, 0.1)]
 
 /// A machine of three step drives that have these chips.
 fn with_chips(machine: &MachineFile) -> MachineFile {
-    let mut parts = machine.text.split("hold_us = 5.0\ndirection = 1\n");
-    let mut text = parts.next().expect("a first part").to_string();
-    let mut count = 0;
-    for ((address, run, hold), part) in CHIPS.iter().zip(parts) {
-        text.push_str(&format!(
-            "hold_us = 5.0\ndirection = 1\n\n[joint.drive.tmc2209]\naddress = {address}\n\
-             microsteps = 16\nrun_current_a = {run}\nhold_current_a = {hold}\n{part}"
-        ));
-        count += 1;
-    }
-    assert_eq!(count, CHIPS.len(), "the file has three drives");
-    MachineFile::parse(&machine.file, &text).unwrap_or_else(|error| panic!("{error}"))
+    let sections = CHIPS.map(|(address, run, hold)| {
+        format!(
+            "[joint.drive.tmc2209]\naddress = {address}\nmicrosteps = 16\n\
+             run_current_a = {run}\nhold_current_a = {hold}\n"
+        )
+    });
+    with_sections(machine, &sections)
 }
 
 fn functions(board: &mut Pico2) -> [u32; 2] {
     [0, 1].map(|pin| board.chip().register(IO_BANK0 + 4 + 8 * pin) & 0x1F)
-}
-
-fn steps(session: &mut Session<Pico2>, periods: usize) {
-    for _ in 0..periods {
-        session.step().expect("the line works");
-    }
-}
-
-/// The alarms that the board reports.
-fn alarms(session: &mut Session<Pico2>) -> Alarms {
-    session.status().expect("an answer").lines().alarms
-}
-
-/// The alarm of one joint.
-fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
-    Alarms::default().with(joint, Some(alarm))
 }
 
 /// The chips have the settings of the machine file: currents up to the wanted ones, less than a

@@ -155,7 +155,8 @@ pub(super) fn check_places<'s, 'd: 's, 'i: 'd + 's>(
             let what = format!("{place} is the {what} of joint {name}");
             chip_section.refuse(keys.place, what, remedy);
         } else if chip.kind == ChipKind::Tmc5160
-            && let Some(gap) = (0..place).find(|gap| chips.iter().all(|(_, it, _)| it.place != *gap))
+            && let Some(gap) =
+                (0..place).find(|gap| chips.iter().all(|(_, it, _)| it.place != *gap))
         {
             let what = format!("{place} is behind a gap: no joint has the chip at position {gap}");
             let remedy = "number the chips from 0 on, and leave those without a joint out of the \

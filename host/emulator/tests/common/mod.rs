@@ -12,7 +12,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::Outputs;
 use haptimill_hil_sim::plant::Plant;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::Fault;
+use haptimill_protocol::message::{Alarms, DriveAlarm, Fault};
 use std::sync::Arc;
 
 /// Contents of the flash of an image that a variable names.
@@ -37,6 +37,11 @@ pub fn uart_image() -> Vec<u8> {
 /// The image with encoders.
 pub fn encoder_image() -> Vec<u8> {
     named("HAPTIMILL_ENCODER_IMAGE")
+}
+
+/// The image with TMC5160 at its SPI.
+pub fn spi_image() -> Vec<u8> {
+    named("HAPTIMILL_SPI_IMAGE")
 }
 
 /// A machine whose first joints have encoders of this many counts in a turn of their motors.
@@ -287,4 +292,35 @@ fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
     let mut session = session(board, machine);
     session.enable().expect("the drives are ready");
     session
+}
+
+/// A machine of three step drives, each with one more section behind it.
+pub fn with_sections(machine: &MachineFile, sections: &[String; 3]) -> MachineFile {
+    const END: &str = "hold_us = 5.0\ndirection = 1\n";
+    let mut parts = machine.text.split(END);
+    let mut text = parts.next().expect("a first part").to_string();
+    let mut sections = sections.iter();
+    for part in parts {
+        let section = sections.next().expect("the file has three drives");
+        text += &format!("{END}\n{section}{part}");
+    }
+    assert_eq!(sections.next(), None, "the file has three drives");
+    parse(&machine.file, &text)
+}
+
+/// Runs control periods of a session.
+pub fn steps(session: &mut Session<Pico2>, periods: usize) {
+    for _ in 0..periods {
+        session.step().expect("the line works");
+    }
+}
+
+/// The alarms that the board reports.
+pub fn alarms(session: &mut Session<Pico2>) -> Alarms {
+    session.status().expect("an answer").lines().alarms
+}
+
+/// The alarm of one joint.
+pub fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
+    Alarms::default().with(joint, Some(alarm))
 }
