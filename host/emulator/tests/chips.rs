@@ -64,7 +64,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     let mut session = session(board(&machine), &plain);
     let free = functions(session.line_mut());
     assert!(!free.contains(&UART), "{free:?}");
-    assert_eq!(session.line_mut().wire.sent, 0);
+    assert_eq!(session.line_mut().chips.wire.sent, 0);
     let before = session.line_mut().cycles();
     session
         .configure(&machine)
@@ -84,7 +84,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     assert!(board.is_enabled());
     assert_set(board);
     assert_eq!(functions(board), [UART; 2]);
-    assert_eq!(board.wire.early_replies, 0);
+    assert_eq!(board.chips.wire.early_replies, 0);
     let rise = board.lines.enable.changes[0] as f64 / 1e15;
     let start = before as f64 / 150e6;
     println!("drives on {:.3} s after the machine file", rise - start);
@@ -97,7 +97,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     let to = session.model().to_axis_units(&to);
     let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(600.0))
         .expect("the machine can make the move");
-    let sent = session.line_mut().wire.sent;
+    let sent = session.line_mut().chips.wire.sent;
     let end = session
         .run_job(2, from, plan.setpoints, &mut NoObserver)
         .expect("the move begins");
@@ -105,7 +105,10 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     steps(&mut session, 20);
     let board = session.line_mut();
     assert_eq!(board.steps, [640, 0, 0, 0, 0], "1 mm of 5 mm a turn");
-    assert!(board.wire.sent > sent, "the chips are asked meanwhile");
+    assert!(
+        board.chips.wire.sent > sent,
+        "the chips are asked meanwhile"
+    );
     let late = board.periods.iter().map(|period| period.late).max();
     println!("control periods begin {late:?} cycles late at most");
     let checks = Checks::of(board, &machine);

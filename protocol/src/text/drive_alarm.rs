@@ -64,8 +64,8 @@ impl Display for Explained<'_> {
                 " has too low a supply; check the supply of the motors and its wires"
             }
             DriveAlarm::Unreachable => {
-                " cannot be reached, because another chip of the chain does not answer; `haptimill \
-                 status` names that one"
+                " cannot be reached; `haptimill status` names the chip of the chain that does not \
+                 answer"
             }
         })
     }
@@ -104,4 +104,52 @@ fn of_bus(alarm: DriveAlarm, chip: Option<ChipText>, f: &mut Formatter<'_>) -> R
         }
         (_, None) => " and the wires of its bus",
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::string::{String, ToString};
+
+    fn sentence(alarm: DriveAlarm, chip: Option<ChipText>) -> String {
+        let axes = AxesText {
+            chips: &[None, chip],
+            ..AxesText::default()
+        };
+        Explained {
+            joint: 1,
+            alarm,
+            axes: &axes,
+        }
+        .to_string()
+    }
+
+    /// Each reason of a chip has its place, and a remedy that fits its bus.
+    #[test]
+    fn the_remedy_is_that_of_the_bus() {
+        let of_chip = DriveAlarm::ALL
+            .into_iter()
+            .filter(|alarm| alarm.is_of_chip());
+        for alarm in of_chip {
+            let [uart, chain, none] = [
+                Some(ChipText::Address(3)),
+                Some(ChipText::Position(4)),
+                None,
+            ]
+            .map(|chip| sentence(alarm, chip));
+            assert!(uart.starts_with("its driver chip (address 3) "), "{uart}");
+            assert!(
+                chain.starts_with("its driver chip (position 4) "),
+                "{chain}"
+            );
+            assert!(none.starts_with("its driver chip "), "{none}");
+            assert!(!chain.contains("UART") && !none.contains("UART"), "{chain}");
+            assert!(!uart.contains("SDO"), "{uart}");
+            for text in [uart, chain, none] {
+                assert!(!text.contains("  ") && text.contains("; "), "{text}");
+            }
+        }
+        assert!(sentence(DriveAlarm::Silent, Some(ChipText::Position(0))).contains("its SDO"));
+        assert!(sentence(DriveAlarm::Silent, Some(ChipText::Address(0))).contains("its UART"));
+    }
 }
