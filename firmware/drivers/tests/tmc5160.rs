@@ -125,8 +125,8 @@ fn each_chip_of_a_chain_gets_its_own_settings() {
         let there = world.borrow().chain.chips.clone();
         for (position, chip) in there.iter().enumerate() {
             assert_eq!(chip.microsteps(), 8 << position, "{position} of {chips}");
-            // 325 mV / 75 mOhm / sqrt 2 = 3064 mA at scaler 256. 2000 mA: scaler 167 is 1998 mA, 168
-            // is 2010 mA. Hold 1000 mA: 62.4 mA (c + 1), code 15 is 999 mA.
+            // 325 mV / 75 mOhm / sqrt 2 = 3064 mA at scaler 256. 2000 mA: scaler 167 is 1998 mA,
+            // 168 is 2010 mA. Hold 1000 mA: 62.4 mA (c + 1), code 15 is 999 mA.
             assert_eq!(chip.register(GLOBALSCALER), 167);
             assert_eq!(chip.register(IHOLD_IRUN), 6 << 16 | 31 << 8 | 15);
             let [run, hold] = chip.currents(0.075);

@@ -1,8 +1,8 @@
 //! Chain of the chips of the drives: SPI1 in mode 3, 1 MHz.
 //!
-//! GP26 is the clock, GP27 sends, GP28 receives, GP1 is the chip select. The main loop polls the bus
-//! between all handlers: it takes no time of a control period. A handler between two bytes stops
-//! the clock for its time, which the chips do not notice.
+//! GP26 is the clock, GP27 sends, GP28 receives, GP1 is the chip select. The main loop polls the
+//! bus between all handlers: it takes no time of a control period. A handler between two bytes
+//! stops the clock for its time, which the chips do not notice.
 
 use crate::chips::Keeper;
 use crate::clocks::{CYCLES_PER_US, cycles};
