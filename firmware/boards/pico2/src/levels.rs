@@ -24,9 +24,9 @@ const OUTPUT: u32 = 26;
 
 /// Pin of the spindle speed.
 pub const SPINDLE_SPEED: u32 = 21;
-/// Whether the pins of the second digital input, the digital output and the alarm are theirs.
+/// Whether the second digital input, the digital output and the alarm have their pins.
 const HAS_ALL: bool = !cfg!(feature = "spi");
-/// Pins of the inputs. The last two are only those with [`HAS_ALL`].
+/// Pins of the inputs. The last two are inputs only with [`HAS_ALL`].
 const ALL_INPUTS: [u32; 8] = [15, 16, 17, 18, 19, FIRST_DIGITAL, SECOND_DIGITAL, ALARM];
 /// Pins of the inputs.
 pub const INPUTS: &[u32] = ALL_INPUTS.split_at(if HAS_ALL { 8 } else { 6 }).0;
