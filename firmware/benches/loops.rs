@@ -103,7 +103,7 @@ fn loops(criterion: &mut Criterion) {
         setup: 360,
         hold: 360,
         lost: Coordinate(1 << 18),
-        tmc2209: None,
+        chip: None,
     };
     period(criterion, "period of 5 step/dir joints", &steps);
 }

@@ -6,12 +6,14 @@
 //! CRC-32.
 
 mod check;
+mod drive_chip;
 pub mod volumetric;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
 use crate::io::JointInputs;
 use crate::named_io::config::IoConfig;
+pub use drive_chip::{ChipKind, DriveChip};
 pub use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -260,9 +262,9 @@ impl JointSettings {
     /// The chip of the drive that the board sets, if there is one. A board without the bus of these
     /// chips must refuse the joint.
     #[must_use]
-    pub const fn tmc2209(&self) -> Option<&Tmc2209> {
+    pub const fn chip(&self) -> Option<&DriveChip> {
         match &self.drive {
-            Drive::Steps { tmc2209, .. } => tmc2209.as_ref(),
+            Drive::Steps { chip, .. } => chip.as_ref(),
             Drive::Torque { .. } => None,
         }
     }
@@ -346,43 +348,8 @@ pub enum Drive {
         lost: Coordinate,
         /// Settings that the board writes into the chip of the drive. Without them the drive is set
         /// by its switches.
-        tmc2209: Option<Tmc2209>,
+        chip: Option<DriveChip>,
     },
-}
-
-/// Settings of a TMC2209 at the one-wire bus of the board.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Tmc2209 {
-    /// Its address on the bus, 0 to 3.
-    pub address: u8,
-    /// Microsteps of a full step, a power of two from 1 to 256.
-    pub microsteps: u16,
-    /// Current of the moving motor, mA rms.
-    pub run_ma: u16,
-    /// Current of the motor at standstill, mA rms; at most `run_ma`.
-    pub hold_ma: u16,
-    /// Sense resistors, mOhm.
-    pub sense_mohm: u16,
-}
-
-/// Addresses of the one-wire bus of a board.
-pub const TMC2209_ADDRESSES: usize = 4;
-
-/// Resistance of the chip beside the sense resistor, mOhm.
-pub const TMC2209_MOHM: u16 = 20;
-
-/// Voltages over both resistances that the chip can regulate, uV rms: from code 0 of its range of
-/// 180 mV to code 31 of that of 325 mV.
-pub const TMC2209_UV: core::ops::RangeInclusive<u64> = 3_977..=229_810;
-
-impl Tmc2209 {
-    /// Whether the chip can regulate the current of the moving motor.
-    #[must_use]
-    pub const fn has_current(&self) -> bool {
-        let resistance = self.sense_mohm as u64 + TMC2209_MOHM as u64;
-        let voltage = self.run_ma as u64 * resistance;
-        *TMC2209_UV.start() <= voltage && voltage <= *TMC2209_UV.end()
-    }
 }
 
 /// Servo loop of a joint (docs/control.md 3.1, 3.2).

@@ -5,7 +5,7 @@
 use crate::comm::server::Server;
 use crate::core::Core;
 use crate::force::sensor::is_force;
-use crate::io::{Inputs, JointInputs};
+use crate::io::{Inputs, JointInputs, first_alarm};
 use crate::machine::Machine;
 use crate::safety::{keeps_position, suspected};
 use haptimill_protocol::message::{Event, Fault, State};
@@ -237,10 +237,8 @@ fn name_hardware_fault(joints: &[JointInputs]) -> Option<Fault> {
             return Some(Fault::LimitSwitch { joint: index as u8 });
         }
         if !joint.drive_ready {
-            return Some(Fault::Drive {
-                joint: index as u8,
-                alarm: joint.alarm,
-            });
+            let (joint, alarm) = first_alarm(joints)?;
+            return Some(Fault::Drive { joint, alarm });
         }
     }
     None

@@ -179,6 +179,21 @@ impl Inputs {
     }
 }
 
+/// The first drive that is not ready, and why; one whose chip is cut off by another chip only if
+/// there is no other.
+#[cold]
+#[inline(never)]
+#[must_use]
+pub fn first_alarm(joints: &[JointInputs]) -> Option<(u8, DriveAlarm)> {
+    let alarms = || {
+        let joints = joints.iter().enumerate();
+        joints.filter(|(_, seen)| !seen.drive_ready)
+    };
+    let cause = alarms().find(|(_, seen)| seen.alarm != DriveAlarm::Unreachable);
+    let (joint, seen) = cause.or_else(|| alarms().next())?;
+    Some((joint as u8, seen.alarm))
+}
+
 /// Pulses of one period on a step/direction drive, in ticks of the step clock.
 ///
 /// Step `k` (from 0) leaves at `delay + k * interval + ramp * k * (k - 1) / 2` ticks after the

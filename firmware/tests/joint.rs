@@ -45,7 +45,7 @@ pub fn steps() -> Drive {
         setup: 360,
         hold: 360,
         lost: Coordinate((0.02 * MM) as i32),
-        tmc2209: None,
+        chip: None,
     }
 }
 
@@ -434,7 +434,7 @@ fn invalid_joint_configurations_are_refused() {
         setup,
         hold: 0,
         lost: Coordinate(1),
-        tmc2209: None,
+        chip: None,
     };
     assert_eq!(
         refused(&slide(step(1 << 23, 72, 100, 100), 0.0), 200),

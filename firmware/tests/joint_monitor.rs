@@ -305,7 +305,7 @@ fn illegal_transitions_and_lost_steps_have_limits() {
         setup: 16,
         hold: 16,
         lost: Coordinate(mm(0.05)),
-        tmc2209: None,
+        chip: None,
     };
     for (by, lost) in [
         (0.049, false),

@@ -2,6 +2,7 @@
 
 use crate::reference;
 use haptimill_firmware::config::Stopping;
+use haptimill_firmware::io::{JointInputs, first_alarm};
 use haptimill_firmware::motion::interpolator::{FULL_FACTOR, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, decelerates_first, keeps_position};
 use haptimill_kinematics::Pose;
@@ -172,6 +173,30 @@ fn emergency_stop_overrides_all_faults() {
         assert_eq!(safety.state(), State::EmergencyStop);
         assert!(safety.reset());
         assert_eq!((safety.state(), safety.fault()), (State::Disabled, None));
+    }
+}
+
+/// A drive whose chip is only cut off by another one is named when there is no other alarm.
+#[test]
+fn a_drive_alarm_names_the_joint_that_causes_it() {
+    let seen = |alarm: Option<DriveAlarm>| JointInputs {
+        drive_ready: alarm.is_none(),
+        alarm: alarm.unwrap_or_default(),
+        ..JointInputs::default()
+    };
+    let (cut_off, silent, hot) = (
+        Some(DriveAlarm::Unreachable),
+        Some(DriveAlarm::Silent),
+        Some(DriveAlarm::Overheated),
+    );
+    for (alarms, named) in [
+        ([None, None, None], None),
+        ([None, hot, silent], Some((1, DriveAlarm::Overheated))),
+        ([cut_off, None, silent], Some((2, DriveAlarm::Silent))),
+        ([cut_off, silent, cut_off], Some((1, DriveAlarm::Silent))),
+        ([None, cut_off, cut_off], Some((1, DriveAlarm::Unreachable))),
+    ] {
+        assert_eq!(first_alarm(&alarms.map(seen)), named, "{alarms:?}");
     }
 }
 

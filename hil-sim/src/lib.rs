@@ -16,7 +16,7 @@
 //! * [`mod@line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
 //! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
 //!   controller.
-//! * [`tmc2209`]: chips of step drives on one wire.
+//! * [`tmc2209`], [`tmc5160`]: chips of step drives on one wire, and in a chain.
 
 pub mod check;
 pub mod config;
@@ -36,6 +36,7 @@ pub mod remote;
 pub mod rig;
 pub mod schedule;
 pub mod tmc2209;
+pub mod tmc5160;
 pub mod vector;
 
 pub use config::PlantConfig;

@@ -36,7 +36,7 @@ use heapless::Vec;
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.
-pub const PROTOCOL_VERSION: u16 = 8;
+pub const PROTOCOL_VERSION: u16 = 9;
 
 /// Speed factor in reports at the programmed speed.
 pub const FULL_SPEED_FACTOR: u16 = 1 << 15;

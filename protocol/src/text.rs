@@ -93,6 +93,15 @@ pub struct AxisText<'a> {
     pub kind: AxisKind,
 }
 
+/// Driver chip of a joint that the board sets, by its place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChipText {
+    /// Address at a one-wire UART.
+    Address(u8),
+    /// Position in a chain at an SPI.
+    Position(u8),
+}
+
 /// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is
 /// named by its number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -103,8 +112,8 @@ pub struct AxesText<'a> {
     pub joints: &'a [AxisText<'a>],
     /// Sentences of the pose errors of the geometry, by their codes.
     pub pose_errors: &'a [&'a str],
-    /// Addresses of the driver chips of the joints; `None` for a joint without one.
-    pub chips: &'a [Option<u8>],
+    /// Driver chips of the joints; `None` for a joint without one.
+    pub chips: &'a [Option<ChipText>],
     /// Names of the digital inputs.
     pub inputs: &'a [&'a str],
     /// Names of the digital outputs.

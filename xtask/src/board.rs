@@ -125,7 +125,7 @@ const PICO2: Board = Board {
     target: "thumbv8m.main-none-eabihf",
     binary: "haptimill-pico2",
     others: &[],
-    options: &["uart", "encoders"],
+    options: &["uart", "encoders", "spi"],
     has_log: true,
     periods: &[THREE_JOINTS_US, FIVE_JOINTS_US],
     has_uf2: true,

@@ -25,6 +25,10 @@ const ENCODERS: Variant<'_> = Variant {
     log: false,
     period_us: None,
 };
+const SPI: Variant<'_> = Variant {
+    option: Some("spi"),
+    period_us: None,
+};
 const PERIOD_320_US: Variant<'_> = Variant {
     option: None,
     log: false,
@@ -74,6 +78,8 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     if task != Task::Slot {
         let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;
         cargo.env("HAPTIMILL_ENCODER_IMAGE", image);
+        let image = board.uf2(&board.build_variant(root, true, &SPI)?)?;
+        cargo.env("HAPTIMILL_SPI_IMAGE", image);
     }
     // Last: the path of the ELF file then has the image that the board has without options.
     let image = board.uf2(&board.build(root, true)?)?;

@@ -40,8 +40,9 @@ Developer tasks of the project.
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
   cargo xtask board NAME --encoders as `board NAME`, with encoders and shift registers (pico2)
-  cargo xtask board NAME --log     as `board NAME`, with a log over RTT (pico2, stm32); also after --uart or --encoders
-  cargo xtask board NAME --period US   as `board NAME`, with another control period (pico2); also after --uart or --encoders
+  cargo xtask board NAME --spi     as `board NAME`, with TMC5160 at an SPI as chips of the drives (pico2)
+  cargo xtask board NAME --log     as `board NAME`, with a log over RTT (pico2, stm32); also after --uart, --encoders or --spi
+  cargo xtask board NAME --period US   as `board NAME`, with another control period (pico2); also after --uart, --encoders or --spi
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images

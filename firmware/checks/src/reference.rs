@@ -310,7 +310,7 @@ pub fn h4_with_steps() -> Config {
             setup: 420,
             hold: 420,
             lost: encoder.stuck_distance,
-            tmc2209: None,
+            chip: None,
         };
         joint.backlash = Coordinate(0);
         joint.rate = Rate(joint.rate.0 / 2);

@@ -9,10 +9,7 @@
 //! way. Nothing wakes them, so the caller polls them again and again, for instance in its main
 //! loop.
 
-use crate::{CurrentError, MicrostepError, microstep_code};
-use core::future::poll_fn;
-use core::mem::replace;
-use core::task::Poll;
+use crate::{CurrentError, Currents, SettingError, Trouble, microstep_code, turn};
 use embedded_hal_nb::serial::{Read, Write};
 
 /// Registers.
@@ -95,30 +92,6 @@ pub enum Error<E> {
     Trouble(Trouble),
 }
 
-/// Settings that the chip does not have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SettingError {
-    /// The current cannot be set.
-    Current(CurrentError),
-    /// The number of microsteps does not exist.
-    Microsteps(MicrostepError),
-}
-
-/// Reason why a configured chip does not drive its motor as commanded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Trouble {
-    /// It was reset since it was configured: its currents and microsteps are those of the factory.
-    Reset,
-    /// It switched the motor off because of its temperature.
-    Overheated,
-    /// A phase is shorted to ground or to the supply; it switched the motor off.
-    Shorted,
-    /// It switched the motor off, and its temperature and its phases are sound again.
-    SwitchedOff,
-    /// The supply is too low.
-    Undervoltage,
-}
-
 /// Check of a datagram: x^8 + x^2 + x + 1, each byte from its lowest bit (data sheet 4.2).
 #[must_use]
 pub fn check_byte(bytes: &[u8]) -> u8 {
@@ -183,17 +156,6 @@ impl Status {
     }
 }
 
-/// Currents of a motor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Currents {
-    /// While it moves, mA rms.
-    pub run_ma: u16,
-    /// While it stands, mA rms; at most `run_ma`.
-    pub hold_ma: u16,
-    /// Sense resistor, mOhm; 110 on most modules.
-    pub sense_mohm: u16,
-}
-
 /// Registers of a chip with its settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
@@ -225,9 +187,8 @@ impl Settings {
 /// The one-wire UART of up to four TMC2209. Its receiver must hold a whole exchange, 12 bytes.
 pub struct Bus<S, C> {
     serial: S,
-    /// A free running count; its counts in a microsecond, in [`PATIENCE_US`] and [`IDLE_BITS`].
+    /// A free running count; its counts in [`PATIENCE_US`] and [`IDLE_BITS`].
     clock: C,
-    counts_per_us: u32,
     patience: u32,
     idle: u32,
 }
@@ -243,18 +204,8 @@ where
         Self {
             serial,
             clock,
-            counts_per_us,
             patience: PATIENCE_US * counts_per_us,
             idle: IDLE_BITS * (1_000_000 / baud + 1) * counts_per_us,
-        }
-    }
-
-    /// Returns after this time, us; less than the clock needs to wrap around.
-    pub async fn wait_us(&mut self, us: u32) {
-        let counts = us.saturating_mul(self.counts_per_us);
-        let start = (self.clock)();
-        while (self.clock)().wrapping_sub(start) < counts {
-            turn().await;
         }
     }
 
@@ -317,15 +268,8 @@ where
     pub async fn trouble(&mut self, address: u8) -> Result<Option<Trouble>, Error<E>> {
         let flags = self.read(address, register::GSTAT).await?;
         let status = self.status(address).await?;
-        let found = [
-            (flags & 1 != 0, Trouble::Reset),
-            (status.is_overheated(), Trouble::Overheated),
-            (status.is_shorted(), Trouble::Shorted),
-            (flags >> 1 & 1 != 0, Trouble::SwitchedOff),
-            (flags >> 2 & 1 != 0, Trouble::Undervoltage),
-        ];
-        let first = found.into_iter().find(|(is_so, _)| *is_so);
-        Ok(first.map(|(_, trouble)| trouble))
+        let (is_overheated, is_shorted) = (status.is_overheated(), status.is_shorted());
+        Ok(Trouble::of(flags, is_overheated, is_shorted))
     }
 
     /// State of a chip.
@@ -467,19 +411,6 @@ where
         turn().await;
         Ok(())
     }
-}
-
-/// Returns to the caller of the future once.
-pub async fn turn() {
-    let mut was_here = false;
-    poll_fn(|_| {
-        if replace(&mut was_here, true) {
-            Poll::Ready(())
-        } else {
-            Poll::Pending
-        }
-    })
-    .await;
 }
 
 /// Current at a code in a range of the sense voltage, in mA rms: (code + 1) / 32 * full scale /

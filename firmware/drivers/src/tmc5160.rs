@@ -1,11 +1,23 @@
 //! TMC5160, step motor driver for external transistors, by SPI. SPI mode 3, at most 4 MHz
 //! with the internal clock.
 //!
-//! Step and direction come from the step generator of the board (SD_MODE). A datagram has 40 bits.
-//! The data of a read come with the next datagram; every reply begins with the state of the driver.
+//! Step and direction come from the step generator of the board (SD_MODE). Several chips are a
+//! chain behind one chip select: SDO of a chip is SDI of the next one. A datagram has 40 bits, and
+//! the chain takes one for each chip at a time, that of the last chip first. The reply of a chip
+//! begins with its state; the data of a read, and those that a write has written, come with the
+//! next datagram.
+//!
+//! Each transfer begins with one more datagram, which passes through the whole chain and comes back
+//! behind the replies. So every transfer shows that no wire is broken, that each chip has its
+//! supply, and that the chain has as many chips as it should.
+//!
+//! The functions of [`Chain`] never wait: their futures return to the caller while bytes are under
+//! way. Nothing wakes them, so the caller polls them again and again, for instance in its main
+//! loop.
 
-use crate::{CurrentError, MicrostepError, microstep_code};
-use embedded_hal::spi::{Operation, SpiDevice};
+use crate::{CurrentError, Currents, SettingError, Trouble, microstep_code, turn};
+use embedded_hal::digital::OutputPin;
+use embedded_hal_nb::spi::FullDuplex;
 
 /// Registers.
 mod register {
@@ -20,15 +32,33 @@ mod register {
     pub const DRV_STATUS: u8 = 0x6F;
 }
 
+/// Most chips of a chain.
+pub const CHIPS_MAX: usize = 5;
+
+/// Bytes of a datagram.
+const BYTES: usize = 5;
+/// Bytes that are under way at a time. The receiver must hold them.
+const AHEAD: usize = 4;
+
+/// The datagram that passes through the chain: a read, so that a chip that takes it changes
+/// nothing.
+const MARKER: [u8; BYTES] = [register::GCONF, 0x5A, 0xC3, 0x96, 0x3C];
+/// The datagram for the chips that are not addressed.
+const NOTHING: [u8; BYTES] = [register::GCONF, 0, 0, 0, 0];
+
 const WRITE: u8 = 0x80;
 /// Version that IOIN reports.
 const VERSION: u8 = 0x30;
+/// Bit of IOIN: the pin SD_MODE is high.
+const SD_MODE: u32 = 1 << 6;
 /// Multistep filter.
 const GCONF: u32 = 1 << 3;
 /// Bit of GCONF: the DIAG0 pin reports a stall.
 const DIAG0_STALL: u32 = 1 << 7;
 /// Off time 3, hysteresis start 4, end 1 (code 4), blank time 2; interpolation to 256 microsteps.
 const CHOPCONF: u32 = 3 | 4 << 4 | 4 << 7 | 2 << 15 | 1 << 28;
+/// Flags of GSTAT: reset, drive error, undervoltage of the charge pump.
+const GSTAT: u32 = 0b111;
 /// Full scale of the sense voltage, uV.
 const FULL_SCALE_UV: u64 = 325_000;
 const HOLD_DELAY: u32 = 6;
@@ -38,21 +68,34 @@ const MIN_SCALER: u64 = 32;
 /// Reason why a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Error<E> {
-    /// The SPI reported an error.
+    /// The SPI or the chip select reported an error.
     Spi(E),
-    /// The chip is not a TMC5160; the version it reports. 0 and 255: no chip, or no supply.
+    /// The last chip of the chain whose reply has no bits, at this position: it has no supply, or
+    /// the wire from its SDO is broken. No chip can be reached.
+    NoReply(u8),
+    /// The datagram that passes through the chain did not come back at its place: the chain has
+    /// another number of chips, or a wire is disturbed.
+    Length,
+    /// The chip is not a TMC5160; the version it reports.
     Version(u8),
-    /// A register that can be read back has another value than was written.
+    /// The pin SD_MODE is low: the chip takes no steps.
+    NoStepInputs,
+    /// The chip did not receive what was written.
     NotTaken {
         /// The register.
         register: u8,
-        /// The value that it has.
+        /// What it received.
         found: u32,
     },
-    /// The current cannot be set.
-    Current(CurrentError),
-    /// The number of microsteps does not exist.
-    Microsteps(MicrostepError),
+    /// A register does not have the value that was written.
+    ReadBack {
+        /// The register.
+        register: u8,
+        /// Its value.
+        found: u32,
+    },
+    /// The chip is configured, and does not drive its motor.
+    Trouble(Trouble),
 }
 
 /// State of the driver, from DRV_STATUS.
@@ -113,64 +156,112 @@ impl Status {
     }
 }
 
-/// Currents of a motor.
+/// Registers of a chip with its settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Currents {
-    /// While it moves, mA rms.
-    pub run_ma: u16,
-    /// While it stands, mA rms; at most `run_ma`.
-    pub hold_ma: u16,
-    /// Sense resistor, mOhm; 75 on most modules.
-    pub sense_mohm: u16,
+pub struct Settings {
+    scaler: u32,
+    holding: u32,
+    chopper: u32,
 }
 
-/// A TMC5160 on an SPI bus.
-pub struct Tmc5160<S> {
+impl Settings {
+    /// Registers of these currents and this number of microsteps.
+    ///
+    /// # Errors
+    /// The chip does not have them.
+    pub fn new(currents: Currents, microsteps: u16) -> Result<Self, SettingError> {
+        let resolution = microstep_code(microsteps).map_err(SettingError::Microsteps)?;
+        let (scaler, hold) = codes(currents).map_err(SettingError::Current)?;
+        Ok(Self {
+            scaler: u32::from(scaler),
+            holding: HOLD_DELAY << 16 | 31 << 8 | u32::from(hold),
+            chopper: CHOPCONF | resolution << 24,
+        })
+    }
+}
+
+/// A chain of TMC5160 behind a chip select.
+pub struct Chain<S, P> {
     spi: S,
+    select: P,
+    /// Number of its chips.
+    chips: usize,
 }
 
-impl<S: SpiDevice> Tmc5160<S> {
-    /// The driver behind a chip select.
-    pub const fn new(spi: S) -> Self {
-        Self { spi }
+impl<S, P, E> Chain<S, P>
+where
+    S: FullDuplex<u8, Error = E>,
+    P: OutputPin<Error = E>,
+{
+    /// A chain of this many chips, at most [`CHIPS_MAX`], at a bus that holds four bytes. The chip
+    /// select is high.
+    pub fn new(spi: S, select: P, chips: usize) -> Self {
+        let mut chain = Self {
+            spi,
+            select,
+            chips: 0,
+        };
+        chain.set_chips(chips);
+        chain
     }
 
-    /// Returns the SPI device.
-    pub fn release(self) -> S {
-        self.spi
+    /// Sets the number of chips, at most [`CHIPS_MAX`].
+    pub fn set_chips(&mut self, chips: usize) {
+        self.chips = chips.min(CHIPS_MAX);
     }
 
-    /// Checks that the chip answers, and sets currents and microsteps.
+    /// Checks that a chip answers, writes its settings, and reads them back.
+    ///
+    /// The registers of the currents cannot be read: the chip returns what it has received.
     ///
     /// # Errors
     /// See [`Error`]. After an error the drive must stay disabled: its current is unknown.
-    pub fn configure(
-        &mut self,
-        currents: Currents,
-        microsteps: u16,
-    ) -> Result<(), Error<S::Error>> {
-        let resolution = microstep_code(microsteps).map_err(Error::Microsteps)?;
-        let (scaler, hold) = codes(currents).map_err(Error::Current)?;
-        let version = (self.read(register::IOIN)? >> 24) as u8;
+    pub async fn configure(&mut self, position: u8, settings: &Settings) -> Result<(), Error<E>> {
+        let [pins] = self.read(position, [register::IOIN]).await?;
+        let version = (pins >> 24) as u8;
         if version != VERSION {
             return Err(Error::Version(version));
         }
-        self.write(register::GCONF, GCONF)?;
-        self.write(register::GLOBALSCALER, u32::from(scaler))?;
-        let holding = HOLD_DELAY << 16 | 31 << 8 | u32::from(hold);
-        self.write(register::IHOLD_IRUN, holding)?;
-        // Last, because it switches the power stage on; and read back, because a chip without it
-        // leaves the motor without current.
-        let chopper = CHOPCONF | resolution << 24;
-        self.write(register::CHOPCONF, chopper)?;
-        let found = self.read(register::CHOPCONF)?;
-        if found != chopper {
-            return Err(Error::NotTaken {
-                register: register::CHOPCONF,
-                found,
-            });
+        if pins & SD_MODE == 0 {
+            return Err(Error::NoStepInputs);
         }
-        self.write(register::GSTAT, 0b111)
+        for (register, value) in [
+            (register::GCONF, GCONF),
+            (register::GLOBALSCALER, settings.scaler),
+            (register::IHOLD_IRUN, settings.holding),
+            // Behind the currents, because it switches the power stage on.
+            (register::CHOPCONF, settings.chopper),
+            // Flags of the reset are cleared by writing ones, so that the next reset is seen.
+            (register::GSTAT, GSTAT),
+        ] {
+            self.write(position, register, value).await?;
+        }
+        let kept = [
+            (register::GCONF, GCONF),
+            (register::CHOPCONF, settings.chopper),
+        ];
+        let values = self.read(position, kept.map(|(it, _)| it)).await?;
+        for ((register, written), found) in kept.into_iter().zip(values) {
+            if found != written {
+                return Err(Error::ReadBack { register, found });
+            }
+        }
+        match self.trouble(position).await? {
+            None => Ok(()),
+            Some(trouble) => Err(Error::Trouble(trouble)),
+        }
+    }
+
+    /// What keeps a configured chip from driving its motor.
+    ///
+    /// # Errors
+    /// See [`Error`].
+    pub async fn trouble(&mut self, position: u8) -> Result<Option<Trouble>, Error<E>> {
+        let registers = [register::GSTAT, register::DRV_STATUS];
+        let [flags, status] = self.read(position, registers).await?;
+        let status = Status(status);
+        let (is_overheated, is_shorted) = (status.is_overheated(), status.is_shorted());
+        Ok(Trouble::of(flags, is_overheated, is_shorted))
     }
 
     /// Reports a stall on the DIAG0 pin, for homing without a switch. `threshold` (-64 to 63,
@@ -178,59 +269,125 @@ impl<S: SpiDevice> Tmc5160<S> {
     /// microstep at which stalls are detected, in clocks of 12 MHz.
     ///
     /// # Errors
-    /// The SPI reported an error.
-    pub fn detect_stalls(
+    /// See [`Error`].
+    pub async fn detect_stalls(
         &mut self,
+        position: u8,
         threshold: i8,
         slowest_step: u32,
-    ) -> Result<(), Error<S::Error>> {
+    ) -> Result<(), Error<E>> {
         let threshold = threshold.clamp(-64, 63) as u32 & 0x7F;
-        self.write(register::COOLCONF, threshold << 16)?;
-        self.write(register::TCOOLTHRS, slowest_step.min(0xF_FFFF))?;
-        self.write(register::GCONF, GCONF | DIAG0_STALL)
+        for (register, value) in [
+            (register::COOLCONF, threshold << 16),
+            (register::TCOOLTHRS, slowest_step.min(0xF_FFFF)),
+            (register::GCONF, GCONF | DIAG0_STALL),
+        ] {
+            self.write(position, register, value).await?;
+        }
+        Ok(())
     }
 
-    /// State of the driver.
+    /// Writes a register, and checks that the chip received the value.
     ///
     /// # Errors
-    /// The SPI reported an error.
-    pub fn status(&mut self) -> Result<Status, Error<S::Error>> {
-        self.read(register::DRV_STATUS).map(Status)
-    }
-
-    /// Whether the driver was reset since [`Tmc5160::configure`]: its supply broke down, and its
-    /// motor has no current.
-    ///
-    /// # Errors
-    /// The SPI reported an error.
-    pub fn was_reset(&mut self) -> Result<bool, Error<S::Error>> {
-        Ok(self.read(register::GSTAT)? & 1 != 0)
-    }
-
-    /// Writes a register.
-    ///
-    /// # Errors
-    /// The SPI reported an error.
-    pub fn write(&mut self, register: u8, value: u32) -> Result<(), Error<S::Error>> {
+    /// See [`Error`].
+    pub async fn write(&mut self, position: u8, register: u8, value: u32) -> Result<(), Error<E>> {
         let [a, b, c, d] = value.to_be_bytes();
-        let bytes = [register | WRITE, a, b, c, d];
-        self.spi.write(&bytes).map_err(Error::Spi)
+        let datagram = [register | WRITE, a, b, c, d];
+        self.exchange(position, datagram).await?;
+        let found = self.exchange(position, NOTHING).await?;
+        if found == value {
+            Ok(())
+        } else {
+            Err(Error::NotTaken { register, found })
+        }
     }
 
-    /// Reads a register with two datagrams.
+    /// Reads registers of a chip, one after the other.
     ///
     /// # Errors
-    /// The SPI reported an error.
-    pub fn read(&mut self, register: u8) -> Result<u32, Error<S::Error>> {
-        let request = [register, 0, 0, 0, 0];
-        self.spi.write(&request).map_err(Error::Spi)?;
-        let mut reply = request;
-        self.spi
-            .transaction(&mut [Operation::TransferInPlace(&mut reply)])
-            .map_err(Error::Spi)?;
-        let [_, a, b, c, d] = reply;
+    /// See [`Error`].
+    pub async fn read<const N: usize>(
+        &mut self,
+        position: u8,
+        registers: [u8; N],
+    ) -> Result<[u32; N], Error<E>> {
+        let mut values = [0; N];
+        for at in 0..=N {
+            let register = registers.get(at).copied().unwrap_or(register::GCONF);
+            let found = self.exchange(position, [register, 0, 0, 0, 0]).await?;
+            // The reply to a request comes with the next one.
+            if let Some(value) = at.checked_sub(1).and_then(|before| values.get_mut(before)) {
+                *value = found;
+            }
+        }
+        Ok(values)
+    }
+
+    /// Transfers a datagram to a chip; returns the data of its reply to the datagram before.
+    async fn exchange(&mut self, position: u8, datagram: [u8; BYTES]) -> Result<u32, Error<E>> {
+        let own = usize::from(position);
+        let last = self.chips.saturating_sub(1);
+        // The datagram of the last chip leaves first, behind the marker; its reply comes first.
+        let sent = |at: usize| match at / BYTES {
+            0 => MARKER[at % BYTES],
+            place if last.checked_sub(place - 1) == Some(own) => datagram[at % BYTES],
+            _ => NOTHING[at % BYTES],
+        };
+        let mut replies = [[0; BYTES]; CHIPS_MAX + 1];
+        self.select.set_low().map_err(Error::Spi)?;
+        let result = self.transfer(sent, replies.as_flattened_mut()).await;
+        self.select.set_high().map_err(Error::Spi)?;
+        result?;
+        // The chips take their datagrams now, before the next transfer.
+        turn().await;
+        let (replies, rest) = replies.split_at(self.chips);
+        if rest.first() != Some(&MARKER) {
+            let dead = replies.iter().position(|reply| is_dead(reply));
+            return Err(match dead {
+                Some(place) => Error::NoReply((last - place) as u8),
+                None => Error::Length,
+            });
+        }
+        let reply = last.checked_sub(own).and_then(|place| replies.get(place));
+        let [_, a, b, c, d] = *reply.ok_or(Error::Length)?;
         Ok(u32::from_be_bytes([a, b, c, d]))
     }
+
+    /// Sends the bytes of the chain and of the marker, and receives as many.
+    async fn transfer(
+        &mut self,
+        sent: impl Fn(usize) -> u8,
+        received: &mut [u8],
+    ) -> Result<(), Error<E>> {
+        let count = BYTES * (self.chips + 1);
+        let (mut sending, mut receiving) = (0, 0);
+        while receiving < count {
+            while sending < count.min(receiving + AHEAD) {
+                match self.spi.write(sent(sending)) {
+                    Ok(()) => sending += 1,
+                    Err(nb::Error::WouldBlock) => break,
+                    Err(nb::Error::Other(error)) => return Err(Error::Spi(error)),
+                }
+            }
+            match self.spi.read() {
+                Ok(byte) => {
+                    if let Some(place) = received.get_mut(receiving) {
+                        *place = byte;
+                    }
+                    receiving += 1;
+                }
+                Err(nb::Error::WouldBlock) => turn().await,
+                Err(nb::Error::Other(error)) => return Err(Error::Spi(error)),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The wire had one level for the whole reply.
+fn is_dead(reply: &[u8; BYTES]) -> bool {
+    *reply == [0; BYTES] || *reply == [0xFF; BYTES]
 }
 
 /// Current at a scaler of 1 to 256 and a code of the current, in mA rms (data sheet 9).

@@ -9,9 +9,8 @@ use haptimill_drivers::ad5644::Ad5644;
 use haptimill_drivers::ads8688::{self, Ads8688, Range};
 use haptimill_drivers::shift_register::{read_inputs, write_outputs};
 use haptimill_drivers::spindle::{Curve, CurveError, Spindle};
-use haptimill_drivers::tmc2209::{self, Bus, Error, SettingError, Settings, Trouble, check_byte};
-use haptimill_drivers::tmc5160::{self, Tmc5160};
-use haptimill_drivers::{CurrentError, MicrostepError};
+use haptimill_drivers::tmc2209::{self, Bus, Error, Settings, check_byte};
+use haptimill_drivers::{CurrentError, Currents, MicrostepError, SettingError, Trouble};
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
@@ -77,7 +76,7 @@ fn finish<F: Future>(future: F) -> F::Output {
     panic!("the future never ends")
 }
 
-const SMALL: tmc2209::Currents = tmc2209::Currents {
+const SMALL: Currents = Currents {
     run_ma: 800,
     hold_ma: 400,
     sense_mohm: 110,
@@ -244,7 +243,7 @@ fn the_stall_threshold_and_the_load_measure_are_those_of_the_chip() {
 fn settings_that_a_driver_does_not_have_are_refused() {
     let error = Settings::new(SMALL, 10).unwrap_err();
     assert_eq!(error, SettingError::Microsteps(MicrostepError(10)));
-    let strong = tmc2209::Currents {
+    let strong = Currents {
         run_ma: 5000,
         ..SMALL
     };
@@ -254,7 +253,7 @@ fn settings_that_a_driver_does_not_have_are_refused() {
     };
     let error = Settings::new(strong, 16).unwrap_err();
     assert_eq!(error, SettingError::Current(limits));
-    let holding = tmc2209::Currents {
+    let holding = Currents {
         hold_ma: 900,
         ..SMALL
     };
@@ -294,98 +293,6 @@ fn states_of_the_tmc2209_are_decoded() {
         assert!(tmc2209::Status(1 << bit).is_alarm(), "bit {bit}");
     }
     assert!(tmc2209::Status(1 << 7).is_open());
-}
-
-/// A datagram of the TMC5160 that writes.
-fn sent(bytes: [u8; 5]) -> [SpiTransaction<u8>; 3] {
-    [
-        SpiTransaction::transaction_start(),
-        SpiTransaction::write_vec(bytes.to_vec()),
-        SpiTransaction::transaction_end(),
-    ]
-}
-
-fn spi_reading(register: u8, value: u32) -> Vec<SpiTransaction<u8>> {
-    let [a, b, c, d] = value.to_be_bytes();
-    let mut all = sent([register, 0, 0, 0, 0]).to_vec();
-    all.extend([
-        SpiTransaction::transaction_start(),
-        SpiTransaction::transfer_in_place(vec![register, 0, 0, 0, 0], vec![9, a, b, c, d]),
-        SpiTransaction::transaction_end(),
-    ]);
-    all
-}
-
-#[test]
-fn the_tmc5160_is_configured() {
-    // 325 mV / 75 mOhm / sqrt 2 = 3064 mA at scaler 256. 2000 mA: scaler 167 is 1998 mA, 168 is
-    // 2010 mA. Hold 1000 mA: 62.4 mA (c + 1), code 15 is 999 mA.
-    let chopper: u32 = 3 | 4 << 4 | 4 << 7 | 2 << 15 | 1 << 28 | 3 << 24;
-    let [a, b, c, d] = chopper.to_be_bytes();
-    let mut expected = spi_reading(0x04, 0x3000_0040);
-    expected.extend(sent([0x80, 0, 0, 0, 8]));
-    expected.extend(sent([0x8B, 0, 0, 0, 167]));
-    expected.extend(sent([0x90, 0, 6, 31, 15]));
-    expected.extend(sent([0xEC, a, b, c, d]));
-    expected.extend(spi_reading(0x6C, chopper));
-    expected.extend(sent([0x81, 0, 0, 0, 7]));
-    let mut spi = Spi::new(&expected);
-    let currents = tmc5160::Currents {
-        run_ma: 2000,
-        hold_ma: 1000,
-        sense_mohm: 75,
-    };
-    Tmc5160::new(spi.clone()).configure(currents, 32).unwrap();
-    spi.done();
-}
-
-#[test]
-fn a_missing_tmc5160_and_a_lost_write_are_found() {
-    let currents = tmc5160::Currents {
-        run_ma: 3064,
-        hold_ma: 0,
-        sense_mohm: 75,
-    };
-    let mut spi = Spi::new(&spi_reading(0x04, 0xFFFF_FFFF));
-    let error = Tmc5160::new(spi.clone()).configure(currents, 256);
-    assert_eq!(error, Err(tmc5160::Error::Version(255)));
-    spi.done();
-
-    let chopper: u32 = 3 | 4 << 4 | 4 << 7 | 2 << 15 | 1 << 28;
-    let [a, b, c, d] = chopper.to_be_bytes();
-    let mut expected = spi_reading(0x04, 0x3000_0000);
-    expected.extend(sent([0x80, 0, 0, 0, 8]));
-    // The full scale is scaler 256, written as 0.
-    expected.extend(sent([0x8B, 0, 0, 0, 0]));
-    expected.extend(sent([0x90, 0, 6, 31, 0]));
-    expected.extend(sent([0xEC, a, b, c, d]));
-    expected.extend(spi_reading(0x6C, 0));
-    let mut spi = Spi::new(&expected);
-    let error = Tmc5160::new(spi.clone()).configure(currents, 256);
-    let lost = tmc5160::Error::NotTaken {
-        register: 0x6C,
-        found: 0,
-    };
-    assert_eq!(error, Err(lost));
-    spi.done();
-}
-
-#[test]
-fn stalls_of_the_tmc5160_are_detected_and_states_decoded() {
-    let mut expected = sent([0xED, 0, 0x7D, 0, 0]).to_vec();
-    expected.extend(sent([0x94, 0, 0x0F, 0xFF, 0xFF]));
-    expected.extend(sent([0x80, 0, 0, 0, 0x88]));
-    expected.extend(spi_reading(0x6F, 0x8100_0123));
-    let mut spi = Spi::new(&expected);
-    let mut driver = Tmc5160::new(spi.clone());
-    driver.detect_stalls(-3, u32::MAX).unwrap();
-    let status = driver.status().unwrap();
-    assert_eq!(status.load_measure(), 0x123);
-    assert!(status.is_stalled() && status.is_standing() && !status.is_alarm());
-    spi.done();
-    for bit in [12, 13, 25, 27, 28] {
-        assert!(tmc5160::Status(1 << bit).is_alarm(), "bit {bit}");
-    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::{
     AxisKind, Config, Drive, EncoderSettings, Home, JointSettings, PoseAxis, ServoConfig,
-    SwitchHome, TMC2209_ADDRESSES, Tmc2209,
+    SwitchHome,
 };
 use crate::config::volumetric::{CORRECTION, ERROR_AXES};
 use crate::config::{BACKLASH_SLOPE_SHIFT, HAPTICS};
@@ -359,7 +359,7 @@ impl Config {
                 setup,
                 hold,
                 lost,
-                tmc2209,
+                chip,
             } => {
                 let steps = (1 << 24..1 << 44).contains(&per_step.unsigned_abs());
                 let clock = (1..=1000).contains(ticks_per_us);
@@ -370,7 +370,7 @@ impl Config {
                 let lost = (lost.0 > 0) == joint.encoder.is_some() && lost.0 >= 0;
                 // Without its supply the chip loses its electrical angle.
                 let chip =
-                    tmc2209.is_none_or(|chip| !joint.keeps_position && self.is_sound_chip(&chip));
+                    chip.is_none_or(|chip| !joint.keeps_position && self.is_sound_chip(&chip));
                 require(
                     steps && clock && is_consistent && lost && chip,
                     ConfigField::Drive,
@@ -378,17 +378,6 @@ impl Config {
                 )
             }
         }
-    }
-}
-
-impl Config {
-    /// Whether the settings of a chip are within its range, and no other joint has its address.
-    fn is_sound_chip(&self, chip: &Tmc2209) -> bool {
-        let chips = self.joints.iter().filter_map(JointSettings::tmc2209);
-        let alone = chips.filter(|it| it.address == chip.address).count() == 1;
-        let microsteps = chip.microsteps.is_power_of_two() && chip.microsteps <= 256;
-        let currents = chip.sense_mohm > 0 && chip.has_current() && chip.hold_ma <= chip.run_ma;
-        usize::from(chip.address) < TMC2209_ADDRESSES && alone && microsteps && currents
     }
 }
 

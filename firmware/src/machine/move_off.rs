@@ -10,7 +10,7 @@
 
 use super::Machine;
 use crate::config::{JointSettings, SwitchHome, SwitchInput};
-use crate::io::Inputs;
+use crate::io::{Inputs, first_alarm};
 use crate::joint::encoder::sum;
 use crate::safety::switch_search::{SearchInputs, SwitchSearch};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -98,14 +98,13 @@ impl Machine {
     pub fn begin_move_off(&mut self, index: u8, inputs: &Inputs) -> Result<(), Refusal> {
         let joint = usize::from(index);
         let settings = self.config.joints.get(joint).ok_or(Refusal::Range)?;
+        let drives = inputs.joints.get(..self.config.joints.len());
+        if let Some((joint, alarm)) = drives.and_then(first_alarm) {
+            return Err(Refusal::Input(InputProblem::Drive { joint, alarm }));
+        }
         let mut ignored = [0; MAX_AXES];
         let joints = self.config.joints.iter().zip(&inputs.joints);
-        for (other, (slot, (settings, seen))) in ignored.iter_mut().zip(joints).enumerate() {
-            if !seen.drive_ready {
-                let joint = other as u8;
-                let alarm = seen.alarm;
-                return Err(Refusal::Input(InputProblem::Drive { joint, alarm }));
-            }
+        for (slot, (settings, seen)) in ignored.iter_mut().zip(joints) {
             *slot = settings.active_switches(seen) & LIMITS;
         }
         let partner = self.config.partner(joint);

@@ -4,7 +4,7 @@
 use super::Machine;
 use super::move_off::MoveOff;
 use crate::config::{Home, SwitchInput};
-use crate::io::{Inputs, JointInputs};
+use crate::io::{Inputs, JointInputs, first_alarm};
 use crate::joint::encoder::sum;
 use crate::safety::switch_search::{SearchInputs, SwitchSearch};
 use haptimill_kinematics::Joints;
@@ -233,7 +233,7 @@ impl Machine {
     #[inline(never)]
     pub fn hardware_fault(&self, inputs: &[JointInputs; MAX_AXES], homed: bool) -> Option<Fault> {
         for (index, joint) in self.config.joints.iter().enumerate() {
-            let inputs = inputs.get(index)?;
+            let seen = inputs.get(index)?;
             let mut limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
             limits &= !self.switches.ignored[index];
             if let Some(home) = joint.home.switch()
@@ -241,14 +241,12 @@ impl Machine {
             {
                 limits &= !home.input.bit();
             }
-            if joint.active_switches(inputs) & limits != 0 {
+            if joint.active_switches(seen) & limits != 0 {
                 return Some(Fault::LimitSwitch { joint: index as u8 });
             }
-            if !inputs.drive_ready {
-                return Some(Fault::Drive {
-                    joint: index as u8,
-                    alarm: inputs.alarm,
-                });
+            if !seen.drive_ready {
+                let (joint, alarm) = first_alarm(inputs.get(..self.config.joints.len())?)?;
+                return Some(Fault::Drive { joint, alarm });
             }
         }
         None

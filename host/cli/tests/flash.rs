@@ -110,7 +110,7 @@ fn each_missing_step_is_named() {
         (
             &["mps2"],
             2,
-            "boards that can be flashed: pico2, pico2-encoders, stm32",
+            "boards that can be flashed: pico2, pico2-encoders, pico2-spi, stm32",
         ),
         (&["--image", &no_file], 3, "cannot be read"),
         (&["--image", &no_image], 3, "is no UF2 file"),

@@ -2,6 +2,7 @@
 
 use crate::chain::Chain;
 use crate::chip::{CLOCK_HZ, Chip};
+use crate::drive_chips::DriveChips;
 use crate::encoders::Encoders;
 use crate::rtt::Rtt;
 use crate::signals::Signals;
@@ -10,7 +11,7 @@ use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::plant::Plant;
-use haptimill_hil_sim::tmc2209::{self, Wire};
+use haptimill_hil_sim::{tmc2209, tmc5160};
 use haptimill_machine_file::MachineFile;
 use haptimill_pulses::Signal;
 use haptimill_trace::Recorder;
@@ -82,13 +83,8 @@ pub struct Pico2 {
     /// Inputs with noise: their levels are wrong in every other control period.
     noise: u32,
     is_noisy: bool,
-    /// Chips of the drives on the wire at GP0 and GP1.
-    pub wire: Wire,
-    /// Place on the wire of the chip of each joint; a joint without one has a drive that is set by
-    /// its switches.
-    chips: [Option<usize>; JOINTS],
-    /// Cycles of a bit on the wire.
-    bit: u64,
+    /// Chips of the drives.
+    pub chips: DriveChips,
     /// Lines that the board drove.
     pub lines: Lines,
     /// Changes of the line of the charge pump.
@@ -127,9 +123,7 @@ impl Pico2 {
             high: 0,
             noise: 0,
             is_noisy: false,
-            wire: Wire::default(),
-            chips: [None; JOINTS],
-            bit: 0,
+            chips: DriveChips::default(),
             pump: 0,
             lines: Lines::default(),
             steps: [0; JOINTS],
@@ -150,54 +144,39 @@ impl Pico2 {
         Ok(board)
     }
 
-    /// Connects the chips that a machine file has for the drives of its joints, after power-on. An
-    /// image whose line is the UART has no wire for them.
+    /// Connects the chips that a machine file has for the drives of its joints, after power-on.
     pub fn connect_chips(&mut self, machine: &MachineFile) {
-        self.wire.chips.clear();
-        self.chips = [None; JOINTS];
-        if !self.chip.uses_usb() {
-            return;
-        }
-        for (place, joint) in self.chips.iter_mut().zip(&machine.config.joints) {
-            if let Some(chip) = joint.tmc2209() {
-                *place = Some(self.wire.chips.len());
-                self.wire.chips.push(tmc2209::Chip::new(chip.address));
-            }
-        }
+        let has_wire = self.chip.uses_usb();
+        self.chips.connect(machine, has_wire, &mut self.signals);
     }
 
-    /// The chip of a joint.
+    /// The chip of a joint on the wire.
     ///
     /// # Panics
     /// The joint has none.
     pub fn drive_chip(&mut self, joint: usize) -> &mut tmc2209::Chip {
-        let place = self.chips[joint].expect("a joint with a chip");
-        &mut self.wire.chips[place]
+        let place = self.chips.place(joint);
+        &mut self.chips.wire.chips[place]
     }
 
-    /// Carries the bytes of the wire. The board receives what it sends, a byte later than on a real
-    /// wire: the emulated UART reports a byte at its end.
-    fn serve_wire(&mut self) {
-        if self.wire.chips.is_empty() {
-            return;
-        }
-        let now = self.chip.cycles();
-        if self.chip.has_uart_bytes() {
-            self.bit = self.chip.uart_bit().unwrap_or(1);
-            for byte in self.chip.take_uart_bytes() {
-                self.wire.send(byte, now, self.bit);
-                self.chip.give_uart_bytes(&[byte]);
-            }
-        }
-        let reply = self.wire.replies(now, self.bit);
-        if !reply.is_empty() {
-            self.chip.give_uart_bytes(&reply);
+    /// The chain of the TMC5160.
+    ///
+    /// # Panics
+    /// The image has none.
+    pub fn chip_chain(&mut self) -> &mut tmc5160::Chain {
+        match &mut self.signals {
+            Signals::Spi(chain) => chain,
+            _ => panic!("the image has no chain of chips"),
         }
     }
 
-    /// The drive of a joint moves its motor.
-    fn drives(&self, joint: usize) -> bool {
-        self.chips[joint].is_none_or(|place| self.wire.chips[place].drives())
+    /// The chip of a joint in the chain.
+    ///
+    /// # Panics
+    /// The joint has none.
+    pub fn chain_chip(&mut self, joint: usize) -> &mut tmc5160::Chip {
+        let place = self.chips.place(joint);
+        &mut self.chip_chain().chips[place]
     }
 
     /// Runs the image until its first control period has ended.
@@ -239,18 +218,16 @@ impl Pico2 {
     pub fn chain(&mut self) -> (&mut Chain, &mut Encoders) {
         match &mut self.signals {
             Signals::Chain(chain) => (&mut chain.0, &mut chain.1),
-            Signals::Pins => panic!("the image has no shift registers"),
+            _ => panic!("the image has no shift registers"),
         }
     }
 
-    /// Drives the pins of shift registers and encoders.
+    /// Drives the pins that follow the board or the time.
     fn serve_signals(&mut self, pins: u32) {
         let levels = self.signals.follow(pins, self.chip.cycles());
-        if let Signals::Chain(_) = self.signals
-            && levels != self.driven & self.signals.mask()
-        {
-            let stop = self.driven & (1 << EMERGENCY_STOP);
-            self.drive(stop | levels);
+        let live = self.signals.live();
+        if levels != self.driven & live {
+            self.drive(self.driven & !live | levels);
         }
     }
 
@@ -337,7 +314,7 @@ impl Pico2 {
         while self.chip.cycles() < end {
             let before = self.steps;
             let levels = self.chip.cycle()?;
-            self.serve_wire();
+            self.chips.serve_wire(&mut self.chip);
             self.serve_signals(levels);
             if levels != self.levels {
                 self.note(levels, u64::MAX);
@@ -359,7 +336,7 @@ impl Pico2 {
         let mut read_at = start;
         while self.chip.cycles() < end {
             let levels = self.chip.cycle()?;
-            self.serve_wire();
+            self.chips.serve_wire(&mut self.chip);
             self.serve_signals(levels);
             if levels != self.levels {
                 self.note(levels, start);
@@ -432,9 +409,8 @@ impl Pico2 {
         self.pump += u64::from(changed >> CHARGE_PUMP & 1);
         if changed >> ENABLE & 1 != 0 {
             self.lines.enable.changes.push(time);
-            for chip in &mut self.wire.chips {
-                chip.set_enabled(levels >> ENABLE & 1 != 0);
-            }
+            let enabled = levels >> ENABLE & 1 != 0;
+            self.chips.set_enabled(enabled, &mut self.signals);
         }
         for joint in 0..JOINTS {
             let pin = FIRST_STEP + 2 * joint as u32;
@@ -448,7 +424,7 @@ impl Pico2 {
             if levels >> pin & 1 != 0 {
                 let up = levels >> (pin + 1) & 1 != 0;
                 self.steps[joint] += if up { 1 } else { -1 };
-                if start <= now && self.drives(joint) {
+                if start <= now && self.chips.drives(joint, &self.signals) {
                     let time_ns = (now - start) * 1000 / CYCLES_PER_US;
                     self.plant.add_pulse(joint, time_ns, up);
                 }

@@ -1,22 +1,31 @@
-//! Signals between an image and the machine that depend on its wiring: each at a pin of its own, or
-//! over shift registers, with encoders.
+//! Signals between an image and the machine that depend on its wiring: each at a pin of its own,
+//! some of which the chain of the TMC5160 may have; or over shift registers, with encoders.
 
 use crate::chain::{Chain, DATA_IN};
 use crate::encoders::{ENCODERS, Encoders, PINS};
 use haptimill_client::flash::Board;
 use haptimill_client::session::pins::record::JOINTS;
+use haptimill_firmware::config::ChipKind;
 use haptimill_firmware::io::Inputs;
 use haptimill_hil_sim::plant::Plant;
+use haptimill_hil_sim::tmc5160;
 
 /// Pins, as in `firmware/boards/pico2/src/levels.rs`.
 const FIRST_HOME: u32 = 15;
 const INPUTS: [u32; 2] = [20, 27];
 const ALARM: u32 = 28;
+/// Pins of the chain of the TMC5160, as in `firmware/boards/pico2/src/pins.rs`.
+const CHIP_SELECT: u32 = 1;
+const CLOCK: u32 = 26;
+const DATA_OUT: u32 = 27;
+const CHIP_DATA_IN: u32 = 28;
 
 /// The wiring of an image.
 pub enum Signals {
     /// Each signal has a pin.
     Pins,
+    /// Each signal has a pin, but for those whose pins this chain has.
+    Spi(Box<tmc5160::Chain>),
     /// Shift registers and encoders.
     Chain(Box<(Chain, Encoders)>),
 }
@@ -28,6 +37,7 @@ impl Signals {
             Some(board) if board.encoders == ENCODERS => {
                 Self::Chain(Box::new((Chain::default(), Encoders::of(plant))))
             }
+            Some(board) if board.chips == Some(ChipKind::Tmc5160) => Self::Spi(Box::default()),
             _ => Self::Pins,
         }
     }
@@ -36,6 +46,16 @@ impl Signals {
     pub const fn mask(&self) -> u32 {
         match self {
             Self::Pins => 0x1F << FIRST_HOME | 1 << INPUTS[0] | 1 << INPUTS[1] | 1 << ALARM,
+            Self::Spi(_) => 0x1F << FIRST_HOME | 1 << INPUTS[0] | self.live(),
+            Self::Chain(_) => self.live(),
+        }
+    }
+
+    /// Pins of these that follow the board or the time ([`Signals::follow`]).
+    pub const fn live(&self) -> u32 {
+        match self {
+            Self::Pins => 0,
+            Self::Spi(_) => 1 << CHIP_DATA_IN,
             Self::Chain(_) => PINS | 1 << DATA_IN,
         }
     }
@@ -46,7 +66,7 @@ impl Signals {
     /// encoders.
     pub fn set(&mut self, inputs: &Inputs, alarm: u32, high: u32) -> u32 {
         match self {
-            Self::Pins => {
+            Self::Pins | Self::Spi(_) => {
                 let mut levels = u32::from(alarm != 0) << ALARM;
                 for joint in 0..JOINTS {
                     levels |= u32::from(inputs.joints[joint].home) << (FIRST_HOME + joint as u32);
@@ -54,7 +74,7 @@ impl Signals {
                 for (channel, pin) in INPUTS.into_iter().enumerate() {
                     levels |= (inputs.digital >> channel & 1) << pin;
                 }
-                levels | high & self.mask()
+                (levels | high) & self.mask() & !self.live()
             }
             Self::Chain(chain) => {
                 let mut levels = (inputs.digital & 0xF) << 4;
@@ -77,6 +97,11 @@ impl Signals {
     pub fn follow(&mut self, pins: u32, cycle: u64) -> u32 {
         match self {
             Self::Pins => 0,
+            Self::Spi(chain) => {
+                let level = |pin: u32| pins >> pin & 1 != 0;
+                let data = chain.follow(level(CHIP_SELECT), level(CLOCK), level(DATA_OUT));
+                u32::from(data) << CHIP_DATA_IN
+            }
             Self::Chain(chain) => {
                 let (chain, encoders) = &mut **chain;
                 encoders.levels(cycle) | u32::from(chain.follow(pins)) << DATA_IN

@@ -3,14 +3,16 @@
 
 mod common;
 
-use common::{CHIPS, bench, board, board_with, mill, session, uart_image, with_chips};
+use common::{
+    CHIPS, alarms, bench, board, board_with, mill, only, session, steps, uart_image, with_chips,
+};
 use haptimill_client::client::Options;
 use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc2209::GSTAT;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Alarms, Command, DriveAlarm, Fault, State};
+use haptimill_protocol::message::{Command, DriveAlarm, Fault, State};
 use std::sync::Arc;
 
 /// Registers of the pins GP0 and GP1 (RP2350 datasheet, 9.11): function, and the outputs of UART0.
@@ -20,22 +22,6 @@ const ENABLE: u32 = 12;
 
 fn functions(board: &mut Pico2) -> [u32; 2] {
     [0, 1].map(|pin| board.chip().register(IO_BANK0 + 4 + 8 * pin) & 0x1F)
-}
-
-fn steps(session: &mut Session<Pico2>, periods: usize) {
-    for _ in 0..periods {
-        session.step().expect("the line works");
-    }
-}
-
-/// The alarms that the board reports.
-fn alarms(session: &mut Session<Pico2>) -> Alarms {
-    session.status().expect("an answer").lines().alarms
-}
-
-/// The alarm of one joint.
-fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
-    Alarms::default().with(joint, Some(alarm))
 }
 
 /// The chips have the settings of the machine file: currents up to the configured ones, less than a
@@ -64,7 +50,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     let mut session = session(board(&machine), &plain);
     let free = functions(session.line_mut());
     assert!(!free.contains(&UART), "{free:?}");
-    assert_eq!(session.line_mut().wire.sent, 0);
+    assert_eq!(session.line_mut().chips.wire.sent, 0);
     let before = session.line_mut().cycles();
     session
         .configure(&machine)
@@ -84,7 +70,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     assert!(board.is_enabled());
     assert_set(board);
     assert_eq!(functions(board), [UART; 2]);
-    assert_eq!(board.wire.early_replies, 0);
+    assert_eq!(board.chips.wire.early_replies, 0);
     let rise = board.lines.enable.changes[0] as f64 / 1e15;
     let start = before as f64 / 150e6;
     println!("drives on {:.3} s after the machine file", rise - start);
@@ -97,7 +83,7 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     let to = session.model().to_axis_units(&to);
     let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(600.0))
         .expect("the machine can make the move");
-    let sent = session.line_mut().wire.sent;
+    let sent = session.line_mut().chips.wire.sent;
     let end = session
         .run_job(2, from, plan.setpoints, &mut NoObserver)
         .expect("the move begins");
@@ -105,7 +91,10 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     steps(&mut session, 20);
     let board = session.line_mut();
     assert_eq!(board.steps, [640, 0, 0, 0, 0], "1 mm of 5 mm a turn");
-    assert!(board.wire.sent > sent, "the chips are asked meanwhile");
+    assert!(
+        board.chips.wire.sent > sent,
+        "the chips are asked meanwhile"
+    );
     let late = board.periods.iter().map(|period| period.late).max();
     println!("control periods begin {late:?} cycles late at most");
     let checks = Checks::of(board, &machine);

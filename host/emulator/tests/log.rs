@@ -4,7 +4,7 @@ mod common;
 
 use common::{
     ENDLESS_LOOP, LOG_IMAGE, board_with, enabled_board, image, log_image, mill, path,
-    replace_period, with_chips,
+    replace_period, steps, with_chips,
 };
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{Homing, Session};
@@ -29,12 +29,6 @@ const SILENT_CYCLES: f64 = 150.0;
 const WATCHDOG: usize = 150;
 /// Refusals whose lines need more room than the buffer has.
 const REFUSALS: usize = 100;
-
-fn steps(session: &mut Session<Pico2>, periods: usize) {
-    for _ in 0..periods {
-        session.step().expect("the line works");
-    }
-}
 
 /// A joint searches its switch, and its chip switches the motor off. The operator presses the
 /// emergency stop, and pulls the cable.

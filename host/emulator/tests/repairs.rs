@@ -273,3 +273,53 @@ fn the_watchdog_resets_the_chip() {
     assert_eq!(chip.core_register(2), 1, "the timer of the watchdog");
     assert_eq!(chip.register(0x400D_8010), 77, "its scratch registers stay");
 }
+
+/// SPI1 at its pins: a word leaves and another one arrives, in mode 3 and in mode 0.
+#[test]
+fn the_spi_moves_its_pins_and_samples_the_data() {
+    const SPI1: u32 = 0x4008_8000;
+    const IO_BANK0: u32 = 0x4002_8000;
+    for (mode, idle) in [(0b11 << 6, true), (0, false)] {
+        let mut chip = chip(&[]);
+        chip.set_register(0x4002_0000, 0);
+        // 20 cycles of the clock of the devices a bit; words of 8 bits; enabled.
+        chip.set_register(SPI1 + 0x10, 20);
+        chip.set_register(SPI1, mode | 7);
+        chip.set_register(SPI1 + 0x4, 2);
+        // Without their function the pins stay low.
+        chip.set_register(SPI1 + 0x8, 0xFF);
+        let mut seen = 0;
+        for _ in 0..2000 {
+            seen |= chip.cycle().unwrap();
+        }
+        assert_eq!(seen & 7 << 26, 0);
+        assert_eq!(chip.register(SPI1 + 0x8), 0, "the data were low");
+        for pin in 26..29 {
+            chip.set_register(IO_BANK0 + 4 + 8 * pin, 1);
+        }
+        let level = |pins: u32, pin: u32| pins >> pin & 1 != 0;
+        let mut before = chip.cycle().unwrap();
+        assert_eq!(level(before, 26), idle);
+        chip.set_register(SPI1 + 0x8, 0x96);
+        let (mut sent, mut rises, mut next) = (0, 0, 0x3A_u32);
+        // A chip in this mode: its data change at the falling clock, or are there before.
+        chip.drive(1 << 28, if idle { 0 } else { (next >> 7 & 1) << 28 });
+        next = if idle { next } else { next << 1 };
+        for _ in 0..2000 {
+            let pins = chip.cycle().unwrap();
+            if level(pins, 26) && !level(before, 26) {
+                rises += 1;
+                sent = sent << 1 | u32::from(level(pins, 27));
+            } else if !level(pins, 26) && level(before, 26) {
+                chip.drive(1 << 28, (next >> 7 & 1) << 28);
+                next <<= 1;
+            }
+            before = pins;
+        }
+        assert_eq!((rises, sent), (8, 0x96), "idle {idle}");
+        assert_eq!(level(before, 26), idle);
+        // Received, not busy.
+        assert_eq!(chip.register(SPI1 + 0xC) & 0b10100, 0b100);
+        assert_eq!(chip.register(SPI1 + 0x8), 0x3A, "idle {idle}");
+    }
+}

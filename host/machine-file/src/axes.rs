@@ -6,7 +6,7 @@ use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
 };
 use super::stability::{Gains, spectral_radius};
-use super::{encoder, homing, tmc2209};
+use super::{drive_chip, encoder, homing};
 use haptimill_firmware::config::{
     AxisKind, BACKLASH_NODES, BACKLASH_SLOPE_SHIFT, Drive, GantryAxis, JointSettings, PoseAxis,
     ServoConfig, ServoForm,
@@ -383,9 +383,10 @@ fn read_step_drive(
         let what = format!("{lost} {} is less than 2 steps", unit(kind));
         section.refuse(joint_drive::lost, what, "raise it");
     }
-    let tmc2209 = tmc2209::read(section, steps);
-    if keeps_position && tmc2209.is_some() {
-        let what = "is true, and a TMC2209 loses its electrical angle with its supply";
+    let chip = drive_chip::read(section, steps);
+    if let Some(chip) = chip.filter(|_| keeps_position) {
+        let name = drive_chip::name(chip.kind);
+        let what = format!("is true, and a {name} loses its electrical angle with its supply");
         section.refuse(joint_drive::keeps_position, what, "remove it");
     }
     // Rounded up, because a shorter pulse may be lost.
@@ -397,7 +398,7 @@ fn read_step_drive(
         setup: in_ticks(setup),
         hold: in_ticks(hold),
         lost: Coordinate(to_i32(lost * per_unit(kind))),
-        tmc2209,
+        chip,
     };
     (drive, keeps_position)
 }

@@ -3,7 +3,7 @@
 use super::axes::{AxisLimits, read_joint_axis};
 use super::axis_places::place_axes;
 use super::document::Section;
-use super::tmc2209;
+use super::drive_chip;
 use haptimill_firmware::config::{AxisKind, JointSettings, SwitchHome};
 use haptimill_machine_keys::controller::joint;
 use haptimill_protocol::message::MAX_AXES;
@@ -88,7 +88,7 @@ pub(super) fn read_joints(
         joints.push((axis, limits));
     }
     let sections = firsts.iter().map(|(section, _)| section).chain(&seconds);
-    tmc2209::check_addresses(sections, &joints);
+    drive_chip::check_places(sections, &joints);
     joints
 }
 

@@ -13,6 +13,7 @@ mod axis_places;
 pub mod compensation;
 mod cross_section;
 pub mod document;
+mod drive_chip;
 mod encoder;
 mod force;
 mod format;
@@ -39,7 +40,6 @@ pub mod stock;
 pub mod template;
 #[cfg(test)]
 mod tests;
-mod tmc2209;
 pub mod work_data;
 
 pub use axes::AxisLimits;

@@ -6,7 +6,7 @@ use crate::place::unit;
 use crate::scale::per_unit;
 use crate::work_data::tools_path;
 use crate::{IoNames, MachineFile};
-use haptimill_firmware::config;
+use haptimill_firmware::config::{self, ChipKind, DriveChip};
 use haptimill_firmware::named_io::config::OutputFunction;
 use haptimill_gcode::{Coordinates, Options, ProgramAxis, ToolAxis, WordKind};
 use haptimill_kinematics::BoundedKinematics;
@@ -17,7 +17,7 @@ use haptimill_planner::{
     AnalogueOutput, JointLimits, MachineModel, Outputs, PoseLimits, PoseProblem, Settings,
 };
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
-use haptimill_protocol::text::{AxesText, AxisText};
+use haptimill_protocol::text::{AxesText, AxisText, ChipText};
 use std::path::Path;
 
 /// Kinematics of a machine file, with axis names.
@@ -32,8 +32,8 @@ pub struct Model {
     pose_scale: Vec<f64>,
     joint_scale: Vec<f64>,
     io: IoNames,
-    /// Addresses of the driver chips, by joint.
-    chips: Vec<Option<u8>>,
+    /// Driver chips, by joint.
+    chips: Vec<Option<ChipText>>,
 }
 
 /// Rounds to the nearest whole number, half away from 0, as `f64::round` does without a call.
@@ -61,12 +61,19 @@ fn program_kind(kind: config::AxisKind) -> WordKind {
     }
 }
 
+const fn chip_text(chip: &DriveChip) -> ChipText {
+    match chip.kind {
+        ChipKind::Tmc2209 => ChipText::Address(chip.place),
+        ChipKind::Tmc5160 => ChipText::Position(chip.place),
+    }
+}
+
 impl Model {
     /// Creates the model of a machine file.
     #[must_use]
     pub fn new(machine: &MachineFile) -> Self {
         let joints = machine.config.joints.iter();
-        let chips = joints.map(|joint| joint.tmc2209().map(|chip| chip.address));
+        let chips = joints.map(|joint| joint.chip().map(chip_text));
         Self {
             machine: machine.config.kinematics(),
             wrapping: machine.config.wrapping(),

@@ -207,6 +207,19 @@ joint_tmc2209 "joint.drive.tmc2209" "The chip of a step drive that the board set
     sense_resistor_ohm = real(0.05, 1.0, "ohm").is("sense resistors of the module").or(0.11);
 }
 
+joint_tmc5160 "joint.drive.tmc5160" "The chip of a step drive that the board sets by SPI, in a chain of such chips; without it the drive is set by switches." {
+    position = whole(0, 4, "").is("position in the chain; 0 is the chip whose SDI is at the board")
+        .bounded("another one for each joint, without a gap from 0 on");
+    microsteps = whole(1, 256, "").is("microsteps of a full step")
+        .bounded("a power of two; with the full steps they are `steps_per_turn`");
+    full_steps_per_turn = whole(4, 10_000, "steps").is("full steps per motor turn").or(200.0);
+    run_current_a = real(0.01, 20.0, "A").is("rms current of the moving motor; the chip gets the largest one of its steps up to it")
+        .bounded("0.0287 V to 0.2298 V divided by the sense resistor");
+    hold_current_a = real(0.0, 20.0, "A").is("rms current at standstill; its least step is 1/32 of the run current")
+        .bounded("at most the run current");
+    sense_resistor_ohm = real(0.01, 1.0, "ohm").is("sense resistors of the module").or(0.075);
+}
+
 joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)." {
     form = word(&["model", "pd"]).is("model-based or PD");
     kp = real(1.0, 4e6, "1/s^2").is("K_P, position gain")

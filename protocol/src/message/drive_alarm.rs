@@ -35,11 +35,13 @@ pub enum DriveAlarm {
     SwitchedOff,
     /// The supply of the driver chip is too low.
     Undervoltage,
+    /// Another driver chip of the chain does not answer, so the board cannot reach this one.
+    Unreachable,
 }
 
 impl DriveAlarm {
     /// All reasons, in the order of their codes from 1.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Input,
         Self::Unsupported,
         Self::StepsCut,
@@ -53,6 +55,7 @@ impl DriveAlarm {
         Self::Shorted,
         Self::SwitchedOff,
         Self::Undervoltage,
+        Self::Unreachable,
     ];
 
     /// Code of the reason, 1 to 15.
@@ -170,7 +173,7 @@ mod tests {
             }
         }
         assert_eq!(DriveAlarm::of_code(0), None);
-        assert_eq!(DriveAlarm::of_code(14), None);
+        assert_eq!(DriveAlarm::of_code(15), None);
         assert!(
             Alarms::default()
                 .with(MAX_AXES, Some(DriveAlarm::Silent))
@@ -179,6 +182,6 @@ mod tests {
         let of_chip = DriveAlarm::ALL
             .into_iter()
             .filter(|alarm| alarm.is_of_chip());
-        assert_eq!(of_chip.count(), 9);
+        assert_eq!(of_chip.count(), 10);
     }
 }

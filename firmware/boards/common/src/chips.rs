@@ -1,4 +1,5 @@
-//! Chips of the drives that the board sets: TMC2209 on a one-wire bus.
+//! Chips of the drives that the board sets over a bus of its own: TMC2209 on a one-wire UART, or
+//! TMC5160 in a chain at an SPI.
 //!
 //! The controller gets a configuration in its control period; the main loop of the board talks to
 //! the chips between the periods. [`Follower`] is the side of the control period: it passes the
@@ -9,11 +10,13 @@
 //! read back what was written. It is not ready from then on when the chip is silent, was reset, or
 //! has switched its motor off, until the chip was configured again with the drives off.
 
+mod tmc2209;
+mod tmc5160;
+
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicU32, Ordering};
-use embedded_hal_nb::serial::{Read, Write};
-use haptimill_drivers::tmc2209::{Bus, Currents, Error, Settings, Trouble, turn};
-use haptimill_firmware::config::{JointSettings, Tmc2209};
+use haptimill_drivers::{Currents, Trouble, turn};
+use haptimill_firmware::config::{ChipKind, DriveChip, JointSettings};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::{Alarms, DriveAlarm, MAX_AXES};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -27,12 +30,44 @@ pub const ATTEMPTS: usize = 3;
 /// Bits of the alarms in the state; those above number the configuration.
 const ALARM_BITS: u32 = 4 * MAX_AXES as u32;
 
+/// Why a chip is not ready.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Failure {
+    /// The reason.
+    pub alarm: DriveAlarm,
+    /// Place of the chip that causes it: another one if that one interrupts the chain.
+    pub place: u8,
+}
+
+/// A bus over which the main loop sets chips of one kind. Its functions never wait: their futures
+/// return to the caller while bytes are under way.
+#[allow(
+    async_fn_in_trait,
+    reason = "the main loop polls the futures itself: nothing sends them to a thread"
+)]
+pub trait DriveBus {
+    /// Prepares the bus, before the first of the chips of a configuration is set.
+    async fn prepare(&mut self, chips: usize);
+
+    /// Checks that a chip answers, writes its settings, and reads them back.
+    ///
+    /// # Errors
+    /// See [`Failure`].
+    async fn configure(&mut self, chip: &DriveChip) -> Result<(), Failure>;
+
+    /// What keeps a configured chip from driving its motor.
+    ///
+    /// # Errors
+    /// The chip was not reached.
+    async fn trouble(&mut self, chip: &DriveChip) -> Result<Option<DriveAlarm>, Failure>;
+}
+
 /// The chips of a configuration, for the main loop to set.
 #[derive(Debug, Clone, Copy)]
 struct Request {
     /// Number of the configuration, in the upper bits of the state.
     number: u32,
-    chips: [Option<Tmc2209>; MAX_AXES],
+    chips: [Option<DriveChip>; MAX_AXES],
 }
 
 /// What both sides share.
@@ -53,12 +88,12 @@ impl Chips {
         }
     }
 
-    /// The two sides.
-    pub fn split(&mut self) -> (Follower<'_>, Keeper<'_>) {
+    /// The two sides, on a board with a bus for chips of this kind.
+    pub fn split(&mut self, kind: ChipKind) -> (Follower<'_>, Keeper<'_>) {
         let (producer, requests) = self.requests.split();
         let state = &self.state;
         let follower = Follower {
-            requests: Some(producer),
+            bus: Some((kind, producer)),
             state,
             crc: 0,
         };
@@ -75,7 +110,7 @@ impl Chips {
     /// The side of the control period, on a board without the bus: no chip ever becomes ready.
     pub const fn without_bus(&mut self) -> Follower<'_> {
         Follower {
-            requests: None,
+            bus: None,
             state: &self.state,
             crc: 0,
         }
@@ -84,7 +119,8 @@ impl Chips {
 
 /// The side of the control period.
 pub struct Follower<'a> {
-    requests: Option<Producer<'a, Request>>,
+    /// Kind of the chips at the bus of the board, and where their settings go.
+    bus: Option<(ChipKind, Producer<'a, Request>)>,
     state: &'a AtomicU32,
     /// CRC of the configuration that was passed on.
     crc: u32,
@@ -105,15 +141,17 @@ impl Follower<'_> {
     #[cold]
     #[inline(never)]
     fn pass_on(&mut self, joints: &[JointSettings], crc: u32) {
-        let reason = match self.requests {
-            Some(_) => DriveAlarm::Setting,
-            None => DriveAlarm::NoBus,
-        };
+        let kind = self.bus.as_ref().map(|(kind, _)| *kind);
         let mut chips = [None; MAX_AXES];
         let mut waiting = Alarms::default();
-        for (joint, (chip, axis)) in chips.iter_mut().zip(joints).enumerate() {
-            *chip = axis.tmc2209().copied();
-            waiting = waiting.with(joint, chip.is_some().then_some(reason));
+        for (joint, (place, axis)) in chips.iter_mut().zip(joints).enumerate() {
+            let chip = axis.chip().copied();
+            *place = chip.filter(|chip| Some(chip.kind) == kind);
+            let reason = match *place {
+                Some(_) => DriveAlarm::Setting,
+                None => DriveAlarm::NoBus,
+            };
+            waiting = waiting.with(joint, chip.map(|_| reason));
         }
         let number = (self.state.load(Ordering::Relaxed) >> ALARM_BITS).wrapping_add(1);
         let state = number << ALARM_BITS | waiting.bits();
@@ -122,9 +160,9 @@ impl Follower<'_> {
         // Without room the main loop has not taken the configuration before: the next control
         // period tries it again.
         let is_passed = self
-            .requests
+            .bus
             .as_mut()
-            .is_none_or(|requests| requests.enqueue(Request { number, chips }).is_ok());
+            .is_none_or(|(_, requests)| requests.enqueue(Request { number, chips }).is_ok());
         if is_passed {
             self.crc = crc;
         }
@@ -143,25 +181,24 @@ pub struct Keeper<'a> {
     requests: Consumer<'a, Request>,
     state: &'a AtomicU32,
     number: u32,
-    chips: [Option<Tmc2209>; MAX_AXES],
+    chips: [Option<DriveChip>; MAX_AXES],
     /// Joints whose chip must be configured, one bit each.
     unset: u8,
 }
 
 impl Keeper<'_> {
-    /// Keeps the chips of the active configuration configured, for ever. `start` prepares the pins
-    /// of the bus, which a machine without chips does not use; `are_off` says whether the enable
-    /// line of the drives has the level that switches them off.
-    pub async fn keep<S, C, E>(
+    /// Keeps the chips of the active configuration configured, for ever. The clock counts so many
+    /// times in a microsecond, and wraps around. `start` prepares the pins of the bus, which a
+    /// machine without chips does not use; `are_off` says whether the enable line of the drives has
+    /// the level that switches them off.
+    pub async fn keep<B: DriveBus>(
         mut self,
-        bus: &mut Bus<S, C>,
+        bus: &mut B,
+        mut clock: impl FnMut() -> u32,
+        counts_per_us: u32,
         start: impl FnOnce(),
         are_off: impl Fn() -> bool,
-    ) -> Infallible
-    where
-        S: Read<u8, Error = E> + Write<u8, Error = E>,
-        C: FnMut() -> u32,
-    {
+    ) -> Infallible {
         while !self.has_chips() {
             turn().await;
             self.take_newest();
@@ -173,7 +210,10 @@ impl Keeper<'_> {
                 self.configure(bus).await;
             }
             self.watch(bus).await;
-            bus.wait_us(INTERVAL_US).await;
+            let begin = clock();
+            while clock().wrapping_sub(begin) < INTERVAL_US * counts_per_us {
+                turn().await;
+            }
         }
     }
 
@@ -192,7 +232,7 @@ impl Keeper<'_> {
     }
 
     /// Joints with a chip, and their chips.
-    fn joints(&self) -> impl Iterator<Item = (usize, Tmc2209)> + use<> {
+    fn joints(&self) -> impl Iterator<Item = (usize, DriveChip)> + use<> {
         let chips = self.chips.into_iter().enumerate();
         chips.filter_map(|(joint, chip)| chip.map(|chip| (joint, chip)))
     }
@@ -202,64 +242,67 @@ impl Keeper<'_> {
     }
 
     /// Configures the chips that are not configured.
-    async fn configure<S, C, E>(&mut self, bus: &mut Bus<S, C>)
-    where
-        S: Read<u8, Error = E> + Write<u8, Error = E>,
-        C: FnMut() -> u32,
-    {
-        // Each chip reports for itself whether it has taken its settings.
-        let _ = bus.separate_replies().await;
+    async fn configure<B: DriveBus>(&mut self, bus: &mut B) {
+        bus.prepare(self.joints().count()).await;
         for (joint, chip) in self.joints() {
             if !self.is_unset(joint) || self.requests.ready() {
                 continue;
             }
-            let currents = Currents {
-                run_ma: chip.run_ma,
-                hold_ma: chip.hold_ma,
-                sense_mohm: chip.sense_mohm,
-            };
-            let Ok(settings) = Settings::new(currents, chip.microsteps) else {
-                continue;
-            };
-            let result = bus.configure(chip.address, &settings).await;
-            if result.is_ok() {
-                self.unset &= !(1 << joint);
+            match bus.configure(&chip).await {
+                Ok(()) => {
+                    self.unset &= !(1 << joint);
+                    self.report([(joint, None); 2]);
+                }
+                Err(failure) => self.fail((joint, &chip), failure),
             }
-            self.report(joint, result.err().map(alarm));
         }
     }
 
     /// Reads the state of the chips that are configured.
-    async fn watch<S, C, E>(&mut self, bus: &mut Bus<S, C>)
-    where
-        S: Read<u8, Error = E> + Write<u8, Error = E>,
-        C: FnMut() -> u32,
-    {
+    async fn watch<B: DriveBus>(&mut self, bus: &mut B) {
         for (joint, chip) in self.joints() {
             if self.is_unset(joint) || self.requests.ready() {
                 continue;
             }
             let mut found = None;
             for _ in 0..ATTEMPTS {
-                match bus.trouble(chip.address).await {
+                match bus.trouble(&chip).await {
                     Ok(trouble) => {
-                        found = trouble.map(of_trouble);
+                        let place = chip.place;
+                        found = trouble.map(|alarm| Failure { alarm, place });
                         break;
                     }
-                    Err(error) => found = Some(alarm(error)),
+                    Err(failure) => found = Some(failure),
                 }
             }
-            if found.is_some() {
-                self.unset |= 1 << joint;
-                self.report(joint, found);
+            if let Some(failure) = found {
+                self.fail((joint, &chip), failure);
             }
         }
     }
 
-    /// Sets why a joint is not ready, or that it is, unless there is a newer configuration.
-    fn report(&self, joint: usize, alarm: Option<DriveAlarm>) {
+    /// Sets why a joint is not ready. If another chip causes it, its joint gets the reason at the
+    /// same moment.
+    fn fail(&mut self, (joint, chip): (usize, &DriveChip), failure: Failure) {
+        let cause = self.joints().find(|(_, it)| it.place == failure.place);
+        let cause = cause.map_or(joint, |(joint, _)| joint);
+        let own = if failure.place == chip.place {
+            failure.alarm
+        } else {
+            DriveAlarm::Unreachable
+        };
+        self.unset |= 1 << joint | 1 << cause;
+        self.report([(joint, Some(own)), (cause, Some(failure.alarm))]);
+    }
+
+    /// Sets why joints are not ready, or that they are, unless there is a newer configuration.
+    fn report(&self, joints: [(usize, Option<DriveAlarm>); 2]) {
         let change = |state: u32| {
-            let alarms = Alarms::of_bits(state).with(joint, alarm);
+            let alarms = joints
+                .into_iter()
+                .fold(Alarms::of_bits(state), |alarms, (joint, alarm)| {
+                    alarms.with(joint, alarm)
+                });
             let own = state >> ALARM_BITS == self.number;
             own.then_some(self.number << ALARM_BITS | alarms.bits())
         };
@@ -270,15 +313,11 @@ impl Keeper<'_> {
     }
 }
 
-/// Why a chip that failed a command is not ready.
-fn alarm<E>(error: Error<E>) -> DriveAlarm {
-    match error {
-        Error::NoReply => DriveAlarm::Silent,
-        Error::Serial(_) | Error::Echo | Error::Noise | Error::Check | Error::WrongReply => {
-            DriveAlarm::Disturbed
-        }
-        Error::NotTaken | Error::ReadBack { .. } | Error::Version(_) => DriveAlarm::NotSet,
-        Error::Trouble(trouble) => of_trouble(trouble),
+const fn currents(chip: &DriveChip) -> Currents {
+    Currents {
+        run_ma: chip.run_ma,
+        hold_ma: chip.hold_ma,
+        sense_mohm: chip.sense_mohm,
     }
 }
 

@@ -4,7 +4,7 @@
 use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use haptimill_board_common::chips::{ATTEMPTS, Chips, Follower, INTERVAL_US};
 use haptimill_drivers::tmc2209::Bus;
-use haptimill_firmware::config::{Config, Drive, Tmc2209};
+use haptimill_firmware::config::{ChipKind, Config, Drive, DriveChip};
 use haptimill_firmware::io::{Alarms, DriveAlarm, Inputs};
 use haptimill_firmware::machine::Machine;
 use haptimill_hil_sim::tmc2209::{CHOPCONF, Chip, GCONF, GSTAT, Wire};
@@ -91,9 +91,10 @@ impl Write<u8> for Uart {
 }
 
 /// Settings of a chip with sense resistors of 0.11 Ohm.
-fn chip(address: u8, microsteps: u16) -> Tmc2209 {
-    Tmc2209 {
-        address,
+fn chip(address: u8, microsteps: u16) -> DriveChip {
+    DriveChip {
+        kind: ChipKind::Tmc2209,
+        place: address,
         microsteps,
         run_ma: 800,
         hold_ma: 400,
@@ -102,13 +103,13 @@ fn chip(address: u8, microsteps: u16) -> Tmc2209 {
 }
 
 /// A machine with three joints whose chips are these.
-fn machine(chips: [Option<Tmc2209>; 3], crc: u32) -> Machine {
+fn machine(chips: [Option<DriveChip>; 3], crc: u32) -> Machine {
     let text = include_str!("../../../../machines/bench.toml");
     let file = MachineFile::parse("bench.toml", text).unwrap_or_else(|error| panic!("{error}"));
     let mut config: Config = file.config;
     for (joint, chip) in config.joints.iter_mut().zip(chips) {
-        if let Drive::Steps { tmc2209, .. } = &mut joint.drive {
-            *tmc2209 = chip;
+        if let Drive::Steps { chip: place, .. } = &mut joint.drive {
+            *place = chip;
         }
     }
     Machine::new(config, crc, &Inputs::default()).expect("a sound machine")
@@ -160,12 +161,12 @@ fn with_board(addresses: &[u8], act: impl FnOnce(&mut Board<'_>)) {
     let world = Rc::new(RefCell::new(world));
     let are_off = Rc::new(Cell::new(true));
     let mut shared = Chips::new();
-    let (follower, keeper) = shared.split();
+    let (follower, keeper) = shared.split(ChipKind::Tmc2209);
     let now = Rc::clone(&world);
     let clock = move || (now.borrow().now / 1000) as u32;
-    let mut bus = Bus::new(Uart(Rc::clone(&world)), clock, 1, 115_200);
+    let mut bus = Bus::new(Uart(Rc::clone(&world)), clock.clone(), 1, 115_200);
     let off = Rc::clone(&are_off);
-    let kept = pin!(keeper.keep(&mut bus, || {}, move || off.get()));
+    let kept = pin!(keeper.keep(&mut bus, clock, 1, || {}, move || off.get()));
     act(&mut Board {
         world,
         follower,
@@ -174,10 +175,10 @@ fn with_board(addresses: &[u8], act: impl FnOnce(&mut Board<'_>)) {
     });
 }
 
-const THREE: [Option<Tmc2209>; 3] = [None, None, None];
+const THREE: [Option<DriveChip>; 3] = [None, None, None];
 
 /// Three joints, of which the first one has its chip at address 2 and the last one at address 0.
-fn two_chips() -> [Option<Tmc2209>; 3] {
+fn two_chips() -> [Option<DriveChip>; 3] {
     [Some(chip(2, 16)), None, Some(chip(0, 64))]
 }
 

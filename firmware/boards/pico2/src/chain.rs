@@ -25,9 +25,9 @@ const DATA_IN: u32 = 28;
 /// Pin of the spindle speed.
 pub const SPINDLE_SPEED: u32 = 0;
 /// Pins of the inputs, those of the encoders too.
-pub const INPUTS: [u32; 9] = [15, 16, 17, 18, 19, 20, 21, 22, DATA_IN];
+pub const INPUTS: &[u32] = &[15, 16, 17, 18, 19, 20, 21, 22, DATA_IN];
 /// Outputs that no PIO block drives: none.
-pub const OUTPUTS: [u32; 0] = [];
+pub const OUTPUTS: &[u32] = &[];
 
 /// Block of the state machine, its number, and its registers.
 const BLOCK: usize = 1;

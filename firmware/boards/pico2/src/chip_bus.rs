@@ -87,6 +87,8 @@ fn start() {
 pub async fn serve(keeper: Keeper) -> Infallible {
     let mut bus = Bus::new(Uart, cycles, CYCLES_PER_US, BAUD);
     keeper
-        .keep(&mut bus, start, || !pins::drives_are_on())
+        .keep(&mut bus, cycles, CYCLES_PER_US, start, || {
+            !pins::drives_are_on()
+        })
         .await
 }

@@ -2,6 +2,8 @@
 
 use haptimill_board_common::chips::{self, Chips};
 use haptimill_board_cortex::shared::Shared;
+#[cfg(not(any(feature = "uart", feature = "encoders")))]
+use haptimill_firmware::config::ChipKind;
 
 /// Side of the control period.
 pub type Follower = chips::Follower<'static>;
@@ -19,8 +21,18 @@ pub struct Keeper;
 pub async fn serve(_: Keeper) {
     core::future::pending().await
 }
-#[cfg(not(any(feature = "uart", feature = "encoders")))]
+#[cfg(not(any(feature = "uart", feature = "encoders", feature = "spi")))]
 pub use crate::chip_bus::serve;
+#[cfg(feature = "spi")]
+pub use crate::chip_chain::serve;
+
+/// Kind of the chips at the bus.
+#[cfg(not(any(feature = "uart", feature = "encoders")))]
+const KIND: ChipKind = if cfg!(feature = "spi") {
+    ChipKind::Tmc5160
+} else {
+    ChipKind::Tmc2209
+};
 
 // Only `start` uses it, once; its two sides are made for two contexts.
 static CHIPS: Shared<Chips> = Shared::new();
@@ -31,7 +43,7 @@ pub fn start() -> (Follower, Keeper) {
     let place = unsafe { CHIPS.place() };
     let chips = place.write(Chips::new());
     #[cfg(not(any(feature = "uart", feature = "encoders")))]
-    return chips.split();
+    return chips.split(KIND);
     #[cfg(any(feature = "uart", feature = "encoders"))]
     return (chips.without_bus(), Keeper);
 }

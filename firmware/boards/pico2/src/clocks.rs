@@ -28,9 +28,11 @@ const PIO2: u32 = if cfg!(feature = "encoders") {
 } else {
     0
 };
-/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0, the USB, PIO2.
+/// The SPI, if it has the chips of the drives.
+const SPI1: u32 = if cfg!(feature = "spi") { 1 << 19 } else { 0 };
+/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0, and those above.
 const USED: u32 =
-    1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26 | USB | PIO2;
+    1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26 | USB | PIO2 | SPI1;
 
 /// Present count of the cycle counter.
 #[inline(always)]

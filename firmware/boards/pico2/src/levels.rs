@@ -9,25 +9,40 @@
 //! | GP26 | out | digital output 0 |
 //! | GP27 | in | digital input 1 |
 //! | GP28 | in | alarm of the drives |
+//!
+//! With the feature `spi` the chips of the drives have GP26 to GP28 and report the alarms.
 
 use crate::pins::{self, JOINTS};
 use haptimill_drivers::input_filter::InputFilter;
 
 const FIRST_HOME: u32 = 15;
-const DIGITAL: [u32; 2] = [20, 27];
+const FIRST_DIGITAL: u32 = 20;
+const SECOND_DIGITAL: u32 = 27;
 const ALARM: u32 = 28;
 const SPINDLE_CLOCKWISE: u32 = 22;
 const OUTPUT: u32 = 26;
 
 /// Pin of the spindle speed.
 pub const SPINDLE_SPEED: u32 = 21;
+/// Whether the second digital input, the digital output and the alarm have their pins.
+const HAS_ALL: bool = !cfg!(feature = "spi");
+/// Pins of the inputs. The last two are inputs only with [`HAS_ALL`].
+const ALL_INPUTS: [u32; 8] = [15, 16, 17, 18, 19, FIRST_DIGITAL, SECOND_DIGITAL, ALARM];
 /// Pins of the inputs.
-pub const INPUTS: [u32; 8] = [15, 16, 17, 18, 19, DIGITAL[0], DIGITAL[1], ALARM];
+pub const INPUTS: &[u32] = ALL_INPUTS.split_at(if HAS_ALL { 8 } else { 6 }).0;
 /// Pins of the outputs.
-pub const OUTPUTS: [u32; 2] = [SPINDLE_CLOCKWISE, OUTPUT];
+pub const OUTPUTS: &[u32] = [SPINDLE_CLOCKWISE, OUTPUT].split_at(1 + HAS_ALL as usize).0;
 
 /// All inputs have the noise filter.
-const FILTERED: u32 = 0x1F << FIRST_HOME | 1 << DIGITAL[0] | 1 << DIGITAL[1] | 1 << ALARM;
+const FILTERED: u32 = {
+    let mut all = 0;
+    let mut at = 0;
+    while at < INPUTS.len() {
+        all |= 1 << INPUTS[at];
+        at += 1;
+    }
+    all
+};
 /// Control periods that a new level must last.
 const SAMPLES: u8 = 3;
 
@@ -50,14 +65,14 @@ impl Levels {
         (false, false)
     }
 
-    /// The drive of a joint reports no alarm: all have one line.
+    /// The drive of a joint reports no alarm: all have one line. Pins that are no inputs are low.
     pub const fn is_ready(self, _joint: usize) -> bool {
         !self.is_high(ALARM)
     }
 
     /// Digital inputs, channel `k` in bit `k`.
     pub const fn digital(self) -> u32 {
-        self.is_high(DIGITAL[0]) as u32 | (self.is_high(DIGITAL[1]) as u32) << 1
+        self.is_high(FIRST_DIGITAL) as u32 | (self.is_high(SECOND_DIGITAL) as u32) << 1
     }
 }
 
@@ -84,7 +99,9 @@ impl Signals {
     /// Sets the direction of the spindle, and the digital outputs, channel `k` from bit `k`.
     pub fn write(&mut self, is_clockwise: bool, digital: u32) {
         pins::drive(SPINDLE_CLOCKWISE, is_clockwise);
-        pins::drive(OUTPUT, digital & 1 != 0);
+        if HAS_ALL {
+            pins::drive(OUTPUT, digital & 1 != 0);
+        }
     }
 
     /// Nothing has to be transferred.
@@ -93,5 +110,7 @@ impl Signals {
 
 /// Switches the digital outputs off.
 pub fn make_safe() {
-    pins::drive(OUTPUT, false);
+    if HAS_ALL {
+        pins::drive(OUTPUT, false);
+    }
 }

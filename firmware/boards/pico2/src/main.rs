@@ -1,8 +1,8 @@
 //! The Haptimill controller on a Raspberry Pi Pico 2 (RP2350).
 //!
 //! Up to five open-loop step drives, four of which may have a TMC2209 that the board sets; with the
-//! feature `encoders` four encoders and limit switches instead of the chips. [`pins`] and
-//! [`signals`] have the tables of the pins.
+//! feature `spi` all of them may have a TMC5160 instead; with the feature `encoders` four encoders
+//! and limit switches instead of the chips. [`pins`] and [`signals`] have the tables of the pins.
 //!
 //! | module | |
 //! | --- | --- |
@@ -12,7 +12,8 @@
 //! | `uart` | line to the host with the feature `uart`: UART0 |
 //! | [`storage`], [`flash`] | the configuration that is kept in the flash |
 //! | [`chips`] | chips of the drives: what the control period has of them |
-//! | `chip_bus` | their one-wire bus at UART0; not with the features `uart` and `encoders` |
+//! | `chip_bus` | their one-wire bus at UART0; not with the features `uart`, `encoders` and `spi` |
+//! | `chip_chain` | their chain at SPI1 with the feature `spi` |
 //! | `levels` | [`signals`]: switches, digital inputs and outputs, spindle, each at its pin |
 //! | `chain` | the same with the feature `encoders`: over shift registers |
 //! | `encoders` | encoders with the feature `encoders`: PIO state machines |
@@ -28,8 +29,10 @@
 mod boot_block;
 #[cfg(feature = "encoders")]
 mod chain;
-#[cfg(not(any(feature = "uart", feature = "encoders")))]
+#[cfg(not(any(feature = "uart", feature = "encoders", feature = "spi")))]
 mod chip_bus;
+#[cfg(feature = "spi")]
+mod chip_chain;
 mod chips;
 mod clocks;
 #[cfg(feature = "encoders")]
@@ -55,6 +58,8 @@ mod vectors;
 
 #[cfg(all(feature = "uart", feature = "encoders"))]
 compile_error!("the image with encoders has its line to the host at the USB");
+#[cfg(all(feature = "spi", any(feature = "uart", feature = "encoders")))]
+compile_error!("the image with the SPI has its line to the host at the USB, and no encoders");
 
 #[cfg(feature = "encoders")]
 use chain as signals;

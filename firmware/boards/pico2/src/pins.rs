@@ -4,6 +4,7 @@
 //! | pin | direction | |
 //! | --- | --- | --- |
 //! | GP0, GP1 | out, in | bus of the chips of the drives; with `uart` line to the host |
+//! | GP1, GP26, GP27, GP28 | out, out, out, in | with `spi` chip select, clock, data to and from the chips |
 //! | GP2, GP4, GP6, GP8, GP10 | out | steps of joints 0 to 4 |
 //! | GP3, GP5, GP7, GP9, GP11 | out | directions of joints 0 to 4 |
 //! | GP12 | out | enable of all drives |
@@ -23,8 +24,14 @@ pub const FIRST_STEP: u32 = 2;
 /// Emergency stop.
 pub const EMERGENCY_STOP: u32 = 14;
 
-#[cfg(not(feature = "encoders"))]
+#[cfg(not(any(feature = "encoders", feature = "spi")))]
 const UART_PINS: [u32; 2] = [0, 1];
+/// Chip select of the chips of the drives.
+#[cfg(feature = "spi")]
+pub const CHIP_SELECT: u32 = 1;
+/// Clock of SPI1, data from it, data to it.
+#[cfg(feature = "spi")]
+const SPI_PINS: [u32; 3] = [26, 27, 28];
 const ENABLE: u32 = 12;
 const CHARGE_PUMP: u32 = 13;
 const LED: u32 = 25;
@@ -36,7 +43,9 @@ const SLICE: usize = (signals::SPINDLE_SPEED / 2 % 8) as usize * 0x14;
 const CHANNEL: u32 = 16 * (signals::SPINDLE_SPEED % 2);
 
 /// Functions of a pin.
-#[cfg(not(feature = "encoders"))]
+#[cfg(feature = "spi")]
+const SPI: u32 = 1;
+#[cfg(not(any(feature = "encoders", feature = "spi")))]
 const UART: u32 = 2;
 const PWM_FUNCTION: u32 = 4;
 const BY_SOFTWARE: u32 = 5;
@@ -57,13 +66,13 @@ fn assign(pin: u32, function: u32, pad: u32) {
 /// Sets all pins. Outputs are low.
 pub fn start() {
     let outputs = [ENABLE, CHARGE_PUMP, LED];
-    for pin in outputs.into_iter().chain(signals::OUTPUTS) {
+    for &pin in outputs.iter().chain(signals::OUTPUTS) {
         // Low before the pin drives.
         write(SIO, 0x20, 1 << pin);
         write(SIO, 0x38, 1 << pin);
         assign(pin, BY_SOFTWARE, DRIVE_4_MA | PULL_DOWN);
     }
-    for pin in signals::INPUTS.into_iter().chain([EMERGENCY_STOP]) {
+    for &pin in signals::INPUTS.iter().chain(&[EMERGENCY_STOP]) {
         assign(pin, BY_SOFTWARE, PULL_UP);
     }
     #[cfg(feature = "uart")]
@@ -75,7 +84,7 @@ pub fn start() {
 }
 
 /// Gives the pins of UART0 to it.
-#[cfg(not(feature = "encoders"))]
+#[cfg(not(any(feature = "encoders", feature = "spi")))]
 fn give_to_uart() {
     for pin in UART_PINS {
         assign(pin, UART, DRIVE_4_MA | PULL_UP);
@@ -84,9 +93,22 @@ fn give_to_uart() {
 
 /// Gives the pins of UART0 to the bus of the chips of the drives. A machine without these chips
 /// leaves them as they are after a reset.
-#[cfg(not(any(feature = "uart", feature = "encoders")))]
+#[cfg(not(any(feature = "uart", feature = "encoders", feature = "spi")))]
 pub fn give_to_chip_bus() {
     give_to_uart();
+}
+
+/// Gives the pins of SPI1 to it, with a high chip select. Without a chip the data read high. A
+/// machine without these chips leaves the pins as they are after a reset.
+#[cfg(feature = "spi")]
+pub fn give_to_chip_chain() {
+    // High before the pin drives, and before the clock rises.
+    drive(CHIP_SELECT, true);
+    write(SIO, 0x38, 1 << CHIP_SELECT);
+    assign(CHIP_SELECT, BY_SOFTWARE, DRIVE_4_MA | PULL_UP);
+    for pin in SPI_PINS {
+        assign(pin, SPI, DRIVE_4_MA | PULL_UP);
+    }
 }
 
 /// The enable line of the drives is high.

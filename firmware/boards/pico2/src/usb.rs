@@ -26,6 +26,8 @@ const IDS: UsbVidPid = UsbVidPid(0x2E8A, 0x0009);
 const MANUFACTURER: &str = "Haptimill";
 const PRODUCT: &str = if cfg!(feature = "encoders") {
     "Haptimill encoder Pico 2"
+} else if cfg!(feature = "spi") {
+    "Haptimill SPI Pico 2"
 } else {
     "Haptimill Pico 2"
 };

@@ -153,7 +153,7 @@ pub fn requirements(machine: Option<&Machine>) -> ([u32; JOINTS], u8) {
                 ticks_per_us,
                 pulse,
                 setup,
-                tmc2209: None,
+                chip: None,
                 ..
             } if joint < JOINTS
                 && u32::from(*ticks_per_us) == TICKS_PER_US

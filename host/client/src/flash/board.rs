@@ -2,6 +2,7 @@
 
 use super::{elf, uf2};
 use crate::{Error, ErrorKind};
+use haptimill_firmware::config::{ChipKind, JointSettings};
 use haptimill_machine_file::{MachineFile, input};
 use std::fmt;
 use std::ops::Range;
@@ -40,8 +41,8 @@ pub struct Board {
     pub has_index_pulses: bool,
     /// It reads limit switches.
     pub has_limit_switches: bool,
-    /// It has the bus of the chips of the drives.
-    pub has_chip_bus: bool,
+    /// Kind of the chips of the drives at its bus, if it has one.
+    pub chips: Option<ChipKind>,
     /// Largest rate of a joint, steps/s.
     pub step_rate: u32,
     /// Control periods that an image can have, us.
@@ -95,7 +96,7 @@ pub struct UsbPort {
 }
 
 /// All boards whose images this computer writes.
-pub const BOARDS: &[Board] = &[PICO2, PICO2_ENCODERS, STM32];
+pub const BOARDS: &[Board] = &[PICO2, PICO2_ENCODERS, PICO2_SPI, STM32];
 
 const PICO2: Board = Board {
     name: "pico2",
@@ -119,7 +120,7 @@ const PICO2: Board = Board {
     encoders: 0,
     has_index_pulses: false,
     has_limit_switches: false,
-    has_chip_bus: true,
+    chips: Some(ChipKind::Tmc2209),
     step_rate: 1_000_000,
     periods: &[200, 250, 320, 400, 500],
     digital: (2, 1),
@@ -140,8 +141,25 @@ const PICO2_ENCODERS: Board = Board {
     line: "its USB port",
     encoders: 4,
     has_limit_switches: true,
-    has_chip_bus: false,
+    chips: None,
     digital: (4, 7),
+    ..PICO2
+};
+
+/// The Pico 2 with TMC5160 at its SPI, which has the pins of a digital input, of the digital output
+/// and of the alarm.
+const PICO2_SPI: Board = Board {
+    name: "pico2-spi",
+    title: "Raspberry Pi Pico 2 with SPI",
+    usb: Some(UsbPort {
+        ids: PICO2_USB,
+        product: "Haptimill SPI Pico 2",
+    }),
+    image: "firmware/boards/pico2/target/thumbv8m.main-none-eabihf/release/haptimill-pico2-spi.uf2",
+    make: "cargo xtask board pico2 --spi",
+    line: "its USB port",
+    chips: Some(ChipKind::Tmc5160),
+    digital: (1, 0),
     ..PICO2
 };
 
@@ -165,7 +183,7 @@ const STM32: Board = Board {
     encoders: 4,
     has_index_pulses: true,
     has_limit_switches: true,
-    has_chip_bus: false,
+    chips: None,
     step_rate: 1_000_000,
     periods: &[200],
     digital: (2, 1),
@@ -189,13 +207,23 @@ impl Board {
     }
 
     /// The image of a Pico 2 for a machine: the one with encoders if a joint has one, or needs
-    /// limit switches.
+    /// limit switches; the one with SPI if a joint has a chip for it.
     #[must_use]
     pub fn of_machine(machine: &MachineFile) -> &'static Self {
-        let mut joints = machine.config.joints.iter();
-        match joints.any(|joint| joint.encoder.is_some() || joint.needs_limit_switches()) {
-            true => &BOARDS[1],
-            false => &BOARDS[0],
+        let joints = &machine.config.joints;
+        let is_of_spi = |joint: &JointSettings| {
+            let chip = joint.chip();
+            chip.is_some_and(|chip| chip.kind == ChipKind::Tmc5160)
+        };
+        if joints
+            .iter()
+            .any(|joint| joint.encoder.is_some() || joint.needs_limit_switches())
+        {
+            &PICO2_ENCODERS
+        } else if joints.iter().any(is_of_spi) {
+            &PICO2_SPI
+        } else {
+            &PICO2
         }
     }
 
@@ -238,8 +266,8 @@ impl Board {
                 "the image is that of {} ({}); give its name, or another image",
                 other.name, other.title
             ),
-            // Only the board without encoders has an image for another line.
-            None if self.usb.is_some() && self.encoders > 0 => format!(
+            // Only this board has an image for another line.
+            None if self.usb.is_some() && *self != PICO2 => format!(
                 "the image has no USB port, or is not that of {} ({}); make it with `{}`",
                 self.name, self.title, self.make
             ),

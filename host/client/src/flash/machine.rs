@@ -2,7 +2,7 @@
 
 use super::{BOARDS, Board};
 use crate::{Error, ErrorKind};
-use haptimill_firmware::config::{Drive as JointDrive, Home};
+use haptimill_firmware::config::{ChipKind, Drive as JointDrive, Home};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_machine_file::scale::{PER_COUNT, per_unit};
@@ -46,15 +46,16 @@ impl Board {
 
     /// The first joint with a chip, if the board has no bus for it.
     fn chips(&self, machine: &MachineFile) -> Option<String> {
-        if self.has_chip_bus {
+        let (name, kind) = first_chip(machine)?;
+        if self.chips == Some(kind) {
             return None;
         }
-        let name = first_chip(machine)?;
-        let others = BOARDS.iter().filter(|board| board.has_chip_bus);
+        let others = BOARDS.iter().filter(|board| board.chips == Some(kind));
         let others: Vec<&str> = others.map(|board| board.name).collect();
         Some(format!(
-            "joint {name}: [joint.drive.tmc2209]: the board has no bus for these chips; set them \
-             by their pins and remove the section, or take a board with the bus ({})",
+            "joint {name}: {}: the board has no bus for these chips; set them by their pins and \
+             remove the section, or take a board with the bus ({})",
+            section(kind),
             others.join(", ")
         ))
     }
@@ -69,6 +70,11 @@ impl Board {
         let output = output.map(|(it, name)| ("output", "outputs", it.channel, outputs, name));
         let missing = input.chain(output).find(|it| it.2 >= it.3);
         if let Some((one, all, channel, count, name)) = missing {
+            if count == 0 {
+                return Some(format!(
+                    "{one} {name}: the board has no digital {all}; remove it, or take another board"
+                ));
+            }
             let own = match count {
                 0..=2 => {
                     let own: Vec<String> = (0..count).map(|channel| channel.to_string()).collect();
@@ -173,27 +179,37 @@ impl Board {
     /// # Errors
     /// The first joint with a chip, and what to do.
     pub fn check_image(&self, machine: &MachineFile, image: &[u8]) -> Result<(), Error> {
-        let Some(name) = first_chip(machine) else {
+        let Some((name, kind)) = first_chip(machine) else {
             return Ok(());
         };
         if self.usb.is_none() || self.of_image(image).is_some() {
             return Ok(());
         }
         let what = format!(
-            "{}: joint {name}: [joint.drive.tmc2209]: the image has its line to the host at the \
-             pins of the bus of these chips; take the image with the USB, or remove the section \
-             ({})",
-            machine.file, self.title
+            "{}: joint {name}: {}: the image has its line to the host at the pins of the bus of \
+             these chips; take the image with the USB, or remove the section ({})",
+            machine.file,
+            section(kind),
+            self.title
         );
         Err(Error::new(ErrorKind::BadInput, what))
     }
 }
 
-/// Name of the first joint with a chip that the board sets.
-fn first_chip(machine: &MachineFile) -> Option<&str> {
+/// Name of the first joint with a chip that the board sets, and its kind.
+fn first_chip(machine: &MachineFile) -> Option<(&str, ChipKind)> {
     let joints = machine.config.joints.iter().zip(&machine.joints);
-    let mut chips = joints.filter(|(joint, _)| joint.tmc2209().is_some());
-    chips.next().map(|(_, limits)| limits.name.as_str())
+    let mut chips = joints.filter_map(|(joint, limits)| Some((limits, joint.chip()?)));
+    let (limits, chip) = chips.next()?;
+    Some((limits.name.as_str(), chip.kind))
+}
+
+/// The section of a machine file with a chip.
+const fn section(kind: ChipKind) -> &'static str {
+    match kind {
+        ChipKind::Tmc2209 => "[joint.drive.tmc2209]",
+        ChipKind::Tmc5160 => "[joint.drive.tmc5160]",
+    }
 }
 
 #[cfg(test)]

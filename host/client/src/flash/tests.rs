@@ -268,7 +268,7 @@ fn a_machine_file_with_parts_that_the_board_lacks_is_refused() {
 /// and no index pulses and no bus for the chips of the drives.
 #[test]
 fn a_machine_with_encoders_needs_the_image_with_encoders() {
-    let [plain, encoders, _] = BOARDS else {
+    let [plain, encoders, ..] = BOARDS else {
         panic!()
     };
     let parse =
@@ -336,7 +336,7 @@ fn a_machine_with_encoders_needs_the_image_with_encoders() {
 /// An image has the name of its board on the USB; only the image for the UART has none.
 #[test]
 fn an_image_of_another_board_is_refused() {
-    let [plain, encoders, _] = BOARDS else {
+    let [plain, encoders, spi, _] = BOARDS else {
         panic!()
     };
     let image = |board: &Board| {
@@ -344,8 +344,9 @@ fn an_image_of_another_board_is_refused() {
         flash.extend(board.usb.as_ref().unwrap().product.as_bytes());
         uf2(&flash)
     };
-    assert_eq!(plain.check_own(&image(plain)), Ok(()));
-    assert_eq!(encoders.check_own(&image(encoders)), Ok(()));
+    for board in [plain, encoders, spi] {
+        assert_eq!(board.check_own(&image(board)), Ok(()));
+    }
     assert_eq!(plain.check_own(&uf2(&[0xFF; 600])), Ok(()), "the UART");
     let refused = |board: &Board, image: &[u8]| board.check_own(image).unwrap_err().message;
     let other = refused(plain, &image(encoders));
@@ -355,11 +356,13 @@ fn an_image_of_another_board_is_refused() {
     );
     let other = refused(encoders, &image(plain));
     assert!(other.contains("the image is that of pico2 ("), "{other}");
-    let none = refused(encoders, &uf2(&[0xFF; 600]));
-    assert!(
-        none.contains("cargo xtask board pico2 --encoders"),
-        "{none}"
-    );
+    let other = refused(plain, &image(spi));
+    assert!(other.contains("the image is that of pico2-spi"), "{other}");
+    for (board, make) in [(encoders, "--encoders"), (spi, "--spi")] {
+        let none = refused(board, &uf2(&[0xFF; 600]));
+        let make = format!("make it with `cargo xtask board pico2 {make}`");
+        assert!(none.contains(&make), "{none}");
+    }
 }
 
 /// The control periods of the board are those for which its image can be built.
@@ -428,5 +431,57 @@ fn a_machine_file_with_chips_needs_the_image_with_the_usb() {
         "own.toml: joint x: [joint.drive.tmc2209]: the image has its line to the host at the pins \
          of the bus of these chips; take the image with the USB, or remove the section \
          (Raspberry Pi Pico 2)"
+    );
+}
+
+/// The image with SPI is a board of its own: it has the bus of the TMC5160, a digital input less,
+/// and no digital output.
+#[test]
+fn a_machine_file_with_a_chain_needs_the_image_with_spi() {
+    let [plain, encoders, spi, _] = BOARDS else {
+        panic!()
+    };
+    let bench = include_str!("../../../../machines/bench.toml");
+    let parse =
+        |text: &str| MachineFile::parse("own.toml", text).unwrap_or_else(|it| panic!("{it}"));
+    let with = |chip: &str| {
+        let section = format!(
+            "direction = 1\n\n[joint.drive.{chip} = 0\nmicrosteps = 16\n\
+             run_current_a = 0.8\nhold_current_a = 0.4\n"
+        );
+        parse(&bench.replacen("direction = 1\n", &section, 1))
+    };
+    let (uart, chain) = (with("tmc2209]\naddress"), with("tmc5160]\nposition"));
+    assert_eq!(Board::of_machine(&chain), spi);
+    assert_eq!(Board::of_machine(&uart), plain);
+    assert_eq!(Board::of_machine(&parse(bench)), plain);
+    assert_eq!(spi.check_machine(&chain), Ok(()));
+    assert_eq!(spi.check_machine(&parse(bench)), Ok(()));
+    let refused =
+        |board: &Board, machine: &MachineFile| board.check_machine(machine).unwrap_err().message;
+    for (board, machine, section, other) in [
+        (plain, &chain, "tmc5160", "pico2-spi"),
+        (encoders, &chain, "tmc5160", "pico2-spi"),
+        (spi, &uart, "tmc2209", "pico2"),
+    ] {
+        assert_eq!(
+            refused(board, machine),
+            format!(
+                "own.toml: joint x: [joint.drive.{section}]: the board has no bus for these chips; \
+                 set them by their pins and remove the section, or take a board with the bus \
+                 ({other}) ({})",
+                board.title
+            )
+        );
+    }
+    let with_output = parse(&format!(
+        "{}\n[[output]]\nname = \"mist\"\nfunction = \"mist\"\nchannel = 0\nsafe = \"off\"\nwithout_host = \"safe\"\n",
+        bench.split("\n[plant]").next().unwrap()
+    ));
+    assert_eq!(plain.check_machine(&with_output), Ok(()));
+    let output = refused(spi, &with_output);
+    assert!(
+        output.contains("output mist: the board has no digital outputs; remove it, or take"),
+        "{output}"
     );
 }
