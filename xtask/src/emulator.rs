@@ -27,6 +27,7 @@ const ENCODERS: Variant<'_> = Variant {
 };
 const SPI: Variant<'_> = Variant {
     option: Some("spi"),
+    log: false,
     period_us: None,
 };
 const PERIOD_320_US: Variant<'_> = Variant {
@@ -34,7 +35,6 @@ const PERIOD_320_US: Variant<'_> = Variant {
     log: false,
     period_us: Some("320"),
 };
-
 const LOG: Variant<'_> = Variant {
     option: None,
     log: true,

@@ -11,7 +11,6 @@ use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move}
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc2209::GSTAT;
-use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command, DriveAlarm, Fault, State};
 use std::sync::Arc;
 
