@@ -343,7 +343,7 @@ where
         turn().await;
         let (replies, rest) = replies.split_at(self.chips);
         if rest.first() != Some(&MARKER) {
-            let dead = replies.iter().position(|reply| is_dead(reply));
+            let dead = replies.iter().position(is_dead);
             return Err(match dead {
                 Some(place) => Error::NoReply((last - place) as u8),
                 None => Error::Length,

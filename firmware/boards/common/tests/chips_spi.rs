@@ -172,6 +172,9 @@ fn with_board(count: usize, machine: &Machine, act: impl FnOnce(&mut Board<'_>))
     act(&mut board);
 }
 
+/// What happens to a chip.
+type Change = fn(&mut Chip);
+
 /// Time in which a trouble of a chip is seen: three chips with three transfers of 20 bytes each,
 /// three times if they fail.
 const SEEN_US: u64 = INTERVAL_US as u64 + 3 * 3 * 3 * 20 * 10;
@@ -255,7 +258,7 @@ fn trouble_of_a_chip_switches_off_until_it_is_sound_again() {
         board.run(100_000);
         assert!(!board.are_off.get());
         let only = |alarm| alarms([None, None, Some(alarm)]);
-        let changes: [(fn(&mut Chip), fn(&mut Chip), DriveAlarm); 4] = [
+        let changes: [(Change, Change, DriveAlarm); 4] = [
             (
                 |chip| chip.set_temperature(155.0),
                 |chip| chip.set_temperature(100.0),
