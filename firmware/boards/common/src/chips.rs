@@ -144,8 +144,8 @@ impl Follower<'_> {
         let kind = self.bus.as_ref().map(|(kind, _)| *kind);
         let mut chips = [None; MAX_AXES];
         let mut waiting = Alarms::default();
-        for (joint, (place, axis)) in chips.iter_mut().zip(joints).enumerate() {
-            let chip = axis.chip().copied();
+        for (joint, (place, settings)) in chips.iter_mut().zip(joints).enumerate() {
+            let chip = settings.chip().copied();
             *place = chip.filter(|chip| Some(chip.kind) == kind);
             let reason = match *place {
                 Some(_) => DriveAlarm::Setting,

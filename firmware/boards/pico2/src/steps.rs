@@ -157,15 +157,15 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
     let mut widths = [MIN_WIDTH; JOINTS];
     let mut wrong = 0;
     let joints = machine.map_or(&[][..], |machine| &machine.config.joints[..]);
-    for (joint, axis) in joints.iter().enumerate() {
-        match &axis.drive {
+    for (joint, settings) in joints.iter().enumerate() {
+        match &settings.drive {
             Drive::Steps {
                 ticks_per_us,
                 pulse,
                 ..
             } if joint < JOINTS
                 && u32::from(*ticks_per_us) == TICKS_PER_US
-                && has_inputs(joint, axis) =>
+                && has_inputs(joint, settings) =>
             {
                 widths[joint] = (*pulse).max(MIN_WIDTH);
             }
@@ -177,14 +177,14 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
 
 /// The board has the inputs that a joint needs.
 #[cfg(feature = "encoders")]
-fn has_inputs(joint: usize, axis: &JointSettings) -> bool {
-    (axis.encoder.is_none() || joint < crate::encoders::ENCODERS)
-        && !matches!(axis.home, Home::Index | Home::SwitchAndIndex(_))
+fn has_inputs(joint: usize, settings: &JointSettings) -> bool {
+    (settings.encoder.is_none() || joint < crate::encoders::ENCODERS)
+        && !matches!(settings.home, Home::Index | Home::SwitchAndIndex(_))
 }
 
 #[cfg(not(feature = "encoders"))]
-fn has_inputs(_: usize, axis: &JointSettings) -> bool {
-    axis.encoder.is_none() && !axis.needs_limit_switches()
+fn has_inputs(_: usize, settings: &JointSettings) -> bool {
+    settings.encoder.is_none() && !settings.needs_limit_switches()
 }
 
 /// Stops the state machines of all joints.

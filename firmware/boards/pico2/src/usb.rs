@@ -114,7 +114,14 @@ impl Between {
             let is_configured = device.state() == UsbDeviceState::Configured;
             #[cfg(feature = "log")]
             if core::mem::replace(&mut was_configured, is_configured) != is_configured {
-                defmt::info!("USB: {}", if is_configured { "connected" } else { "disconnected" });
+                defmt::info!(
+                    "USB: {}",
+                    if is_configured {
+                        "connected"
+                    } else {
+                        "disconnected"
+                    }
+                );
             }
             if is_configured {
                 receive(&mut port, &mut wire);

@@ -146,9 +146,9 @@ pub fn requirements(machine: Option<&Machine>) -> ([u32; JOINTS], u8) {
     let mut widths = [1; JOINTS];
     let mut wrong = 0;
     let joints = machine.map_or(&[][..], |machine| &machine.config.joints[..]);
-    for (joint, axis) in joints.iter().enumerate() {
+    for (joint, settings) in joints.iter().enumerate() {
         let whole_slots = |ticks: u16| u32::from(ticks) % SLOT_TICKS == 0;
-        match &axis.drive {
+        match &settings.drive {
             Drive::Steps {
                 ticks_per_us,
                 pulse,
@@ -159,7 +159,7 @@ pub fn requirements(machine: Option<&Machine>) -> ([u32; JOINTS], u8) {
                 && u32::from(*ticks_per_us) == TICKS_PER_US
                 && whole_slots(*pulse)
                 && whole_slots(*setup)
-                && (axis.encoder.is_none() || joint < ENCODERS) =>
+                && (settings.encoder.is_none() || joint < ENCODERS) =>
             {
                 widths[joint] = u32::from(*pulse) / SLOT_TICKS;
             }

@@ -22,7 +22,7 @@ steps, and rates at which a resonance causes lost steps. Each test moves the joi
 shift the count at which the switch trips. 70 % of the limits are proposed.
 
 With --lost-motion each joint moves to the same position from below and from above, five times, and \
-a dial gauge measures the slide. The simulated machine has one; on others the command asks for \
+a dial gauge measures the driven part. The simulated machine has one; on others the command asks for \
 each reading.
 
 With --index the machine searches its index pulses five times in each direction. The positions of \

@@ -66,7 +66,7 @@ fn steps_are_exact_and_one_per_key_press() {
     terminal.expect_state("RUN");
     let down = at(&terminal, "y");
     assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
-    // Hold ends a step and leaves nothing to resume. The state is shown before the first micrometre.
+    // Hold ends a step and leaves nothing to resume. The state is shown before the first motion.
     terminal.press(UP);
     terminal.expect_state("RUN");
     let has_moved = |_: &str| terminal.number("y", 1).is_some_and(|y| y > down);
