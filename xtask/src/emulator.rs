@@ -4,7 +4,7 @@
 use crate::board::Variant;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, ExitStatus};
 
 /// Packages that are repaired, with their versions; each has a patch `NAME-VERSION.patch`.
 const PACKAGES: [(&str, &str); 2] = [("rp2350-emu", "0.2.6"), ("picoem-common", "0.2.2")];
@@ -64,6 +64,15 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let board = crate::named(BOARD)?;
     let mut cargo = crate::cargo();
     cargo.current_dir(&folder);
+    // An image keeps one processor busy for most of its build.
+    let mut building = crate::cargo();
+    building
+        .current_dir(&folder)
+        .args(["test", "--release", "--locked", "--no-run"]);
+    let building = match task {
+        Task::Test | Task::LongTest => Some(start(&mut building)?),
+        Task::Build | Task::Slot => None,
+    };
     if matches!(task, Task::Test | Task::LongTest) {
         let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
         cargo.env("HAPTIMILL_UART_IMAGE", image);
@@ -84,11 +93,15 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     // Last: the path of the ELF file then has the image that the board has without options.
     let image = board.uf2(&board.build(root, true)?)?;
     cargo.env("HAPTIMILL_IMAGE", &image);
+    if let Some(mut building) = building {
+        let status = building.wait();
+        ended("cargo", status)?;
+    }
     match task {
         Task::Build => cargo.args(["build", "--release", "--locked"]),
         Task::Test | Task::LongTest => {
-            // Tests that run at a time would each take as much longer.
-            let all = ["--", "--nocapture", "--test-threads=1", "--include-ignored"];
+            // A test keeps one processor busy.
+            let all = ["--", "--nocapture", "--test-threads=2", "--include-ignored"];
             let words = if task == Task::Test { &all[..3] } else { &all };
             cargo.args(["test", "--release", "--locked"]).args(words)
         }
@@ -131,7 +144,7 @@ pub fn margin(root: &Path, period_us: &str) -> Result<(), String> {
         .env("HAPTIMILL_IMAGE", image(None)?)
         .env("HAPTIMILL_PERIOD_US", period_us)
         .args(["test", "--release", "--locked", "--test", "margin", "--"])
-        .args(["--nocapture", "--test-threads=1", "--include-ignored"]);
+        .args(["--nocapture", "--test-threads=2", "--include-ignored"]);
     succeed(&mut cargo)
 }
 
@@ -212,12 +225,26 @@ fn copy(from: &Path, to: &Path) -> Result<(), String> {
     Ok(())
 }
 
+/// Starts a command.
+fn start(command: &mut Command) -> Result<Child, String> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    command
+        .spawn()
+        .map_err(|error| format!("{name} cannot be started: {error}"))
+}
+
 /// Runs a command that must succeed.
 fn succeed(command: &mut Command) -> Result<(), String> {
+    let status = start(command)?.wait();
     let name = command.get_program().to_string_lossy().into_owned();
-    match command.status() {
+    ended(&name, status)
+}
+
+/// An error unless the command with this name succeeded.
+fn ended(name: &str, status: std::io::Result<ExitStatus>) -> Result<(), String> {
+    match status {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => Err(format!("{name} failed ({status})")),
-        Err(error) => Err(format!("{name} cannot be started: {error}")),
+        Err(error) => Err(format!("{name} cannot be waited for: {error}")),
     }
 }
