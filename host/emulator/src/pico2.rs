@@ -273,6 +273,12 @@ impl Pico2 {
         &self.plant
     }
 
+    /// The machine, for a board that starts anew.
+    #[must_use]
+    pub fn into_plant(self) -> Plant {
+        self.plant
+    }
+
     /// The chip.
     pub const fn chip(&mut self) -> &mut Chip {
         &mut self.chip

@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{ENDLESS_LOOP, board_with, enabled, fault, mill, replace_period, session, uart_image};
+use common::{
+    ENDLESS_LOOP, board_with, enabled, fault, image, mill, replace_period, session, uart_image,
+};
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
@@ -71,6 +73,30 @@ fn a_control_period_that_never_ends_is_ended_by_the_watchdog() {
     let status = session.status().expect("the board answers");
     assert_ne!(status.state, State::Fault);
     assert_eq!(session.line_mut().chip().wrong_usb_writes(), 0);
+}
+
+/// The supply of the board sags in a search. Its brown-out detector resets the chip, which starts as
+/// after power-on while a joint still moves: no pulse leaves, the drives stay off, the position is
+/// not known.
+#[test]
+fn a_brown_out_in_motion_leaves_the_drives_off() {
+    let machine = mill();
+    let mut session = enabled(&machine);
+    let _homing = Homing::start(&mut session);
+    steps(&mut session, 300);
+    let before = session.line_mut().steps;
+    steps(&mut session, 5);
+    let board = session.into_line();
+    assert_ne!(board.steps, before, "the joint moves");
+    let mut board = Pico2::new(&image(), board.into_plant()).expect("the emulator starts");
+    alone(&mut board, 50);
+    assert_eq!(board.periods.last().map(|it| it.cause), Some(1), "power");
+    let mut session = common::session(board, &machine);
+    let status = session.status().expect("the board answers");
+    assert_eq!((status.state, status.homed), (State::Disabled, false));
+    let board = session.line_mut();
+    assert!(board.lines.enable.changes.is_empty(), "it never rose");
+    assert_eq!(board.steps, [0; 5]);
 }
 
 /// Pulls the cable while a joint moves: the controller misses its host after the heartbeat of the
