@@ -75,9 +75,9 @@ fn a_control_period_that_never_ends_is_ended_by_the_watchdog() {
     assert_eq!(session.line_mut().chip().wrong_usb_writes(), 0);
 }
 
-/// The supply of the board sags in a search. Its brown-out detector resets the chip, which starts as
-/// after power-on while a joint still moves: no pulse leaves, the drives stay off, the position is
-/// not known.
+/// The supply of the board sags in a search. Its brown-out detector resets the chip, which starts
+/// as after power-on while a joint still moves: no pulse leaves, the drives stay off, the position
+/// is not known.
 #[test]
 fn a_brown_out_in_motion_leaves_the_drives_off() {
     let machine = mill();
