@@ -21,6 +21,7 @@
 pub mod check;
 pub mod config;
 pub mod contact;
+mod driver_chip;
 pub mod fault;
 pub mod haptics;
 pub mod io_log;

@@ -5,8 +5,10 @@
 //! gives a datagram up, access and reset values of the registers, the latched flags, the
 //! temperature and the shorts. Motor, chopper and the electrical side of the wire are not modelled.
 
+use crate::driver_chip::{DRIVE_ERROR, PowerStage, RESET, Register, Registers};
+
 /// Registers (data sheet 5): address, readable, writable, value after a reset.
-const REGISTERS: [(u8, bool, bool, u32); 21] = [
+const REGISTERS: [Register; 21] = [
     (GCONF, true, true, 0x101),
     (GSTAT, true, true, 0),
     (IFCNT, true, false, 0),
@@ -51,12 +53,7 @@ pub const CHOPCONF: u8 = 0x6C;
 /// State of the driver.
 pub const DRV_STATUS: u8 = 0x6F;
 
-/// Flags of GSTAT.
-const RESET: u32 = 1;
-const DRIVE_ERROR: u32 = 2;
-
-/// Temperatures at which the driver warns, and switches off with the trim of the reset, C.
-const WARNING_C: f64 = 120.0;
+/// Temperature at which the driver switches off with the trim of the reset, C.
 const SHUTDOWN_C: f64 = 143.0;
 /// Temperatures of the comparators t120, t143, t150, t157.
 const COMPARATORS_C: [f64; 4] = [120.0, 143.0, 150.0, 157.0];
@@ -83,26 +80,13 @@ fn check(bytes: &[u8]) -> u8 {
 #[derive(Debug, Clone)]
 pub struct Chip {
     address: u8,
-    values: [u32; REGISTERS.len()],
+    registers: Registers<{ REGISTERS.len() }>,
+    stage: PowerStage,
     powered: bool,
     enabled: bool,
-    celsius: f64,
-    /// A phase is shorted to ground.
-    shorted: bool,
-    /// It switched its motor off because of its temperature.
-    overheated: bool,
-    /// It switched its motor off because of a short.
-    switched_off: bool,
-    /// A register that keeps its value whatever is written.
-    stuck: Option<u8>,
     received: Vec<u8>,
     /// It waits for a silent wire.
     is_lost: bool,
-}
-
-/// Index of a register.
-fn index(register: u8) -> Option<usize> {
-    REGISTERS.iter().position(|(it, ..)| *it == register)
 }
 
 impl Chip {
@@ -111,14 +95,10 @@ impl Chip {
     pub fn new(address: u8) -> Self {
         let mut chip = Self {
             address,
-            values: [0; REGISTERS.len()],
+            registers: Registers::new(&REGISTERS),
+            stage: PowerStage::new(SHUTDOWN_C),
             powered: true,
             enabled: false,
-            celsius: 40.0,
-            shorted: false,
-            overheated: false,
-            switched_off: false,
-            stuck: None,
             received: Vec::new(),
             is_lost: false,
         };
@@ -127,14 +107,9 @@ impl Chip {
     }
 
     fn reset(&mut self) {
-        self.values = REGISTERS.map(|(_, _, _, value)| value);
-        *self.value(GSTAT) = RESET;
+        self.registers.reset(GSTAT);
         self.received.clear();
         self.is_lost = false;
-    }
-
-    fn value(&mut self, register: u8) -> &mut u32 {
-        &mut self.values[index(register).expect("a register of the table")]
     }
 
     /// Value of a register, whether the wire can read it or not.
@@ -143,7 +118,7 @@ impl Chip {
         match register {
             IOIN => 0x21 << 24 | u32::from(!self.enabled) | u32::from(self.address) << 2 | 1 << 6,
             DRV_STATUS => self.status(),
-            _ => index(register).map_or(0, |at| self.values[at]),
+            _ => self.registers.get(register),
         }
     }
 
@@ -158,49 +133,42 @@ impl Chip {
     /// The enable input releases the motor, or not. A released motor clears a short.
     pub fn set_enabled(&mut self, enabled: bool) {
         self.enabled = enabled;
-        if !enabled {
-            self.switched_off = false;
-        } else if self.shorted {
-            self.switched_off = true;
-            *self.value(GSTAT) |= DRIVE_ERROR;
+        if self.stage.find_short(enabled) {
+            *self.registers.value(GSTAT) |= DRIVE_ERROR;
         }
     }
 
     /// Temperature of the chip, C. Above its limit it switches the motor off, until it is cold
     /// enough for no warning.
     pub fn set_temperature(&mut self, celsius: f64) {
-        self.celsius = celsius;
-        if celsius >= SHUTDOWN_C {
-            self.overheated = true;
-            *self.value(GSTAT) |= DRIVE_ERROR;
-        } else if celsius < WARNING_C {
-            self.overheated = false;
+        if self.stage.set_temperature(celsius) {
+            *self.registers.value(GSTAT) |= DRIVE_ERROR;
         }
     }
 
     /// A phase of the motor is shorted to ground, or not any more. The chip sees it while it
     /// drives.
     pub fn set_shorted(&mut self, shorted: bool) {
-        self.shorted = shorted;
+        self.stage.set_shorted(shorted);
         self.set_enabled(self.enabled);
     }
 
     /// A register keeps its value whatever is written.
     pub const fn set_stuck(&mut self, register: Option<u8>) {
-        self.stuck = register;
+        self.registers.set_stuck(register);
     }
 
     /// Whether the chip drives its motor.
     #[must_use]
     pub const fn drives(&self) -> bool {
-        self.powered && self.enabled && !self.overheated && !self.switched_off
+        self.powered && self.enabled && self.stage.is_sound()
     }
 
     fn status(&self) -> u32 {
-        let mut status = u32::from(self.celsius >= WARNING_C) | u32::from(self.overheated) << 1;
-        status |= u32::from(self.switched_off) << 2;
+        let mut status = u32::from(self.stage.is_hot()) | u32::from(self.stage.overheated) << 1;
+        status |= u32::from(self.stage.switched_off) << 2;
         for (bit, limit) in COMPARATORS_C.iter().enumerate() {
-            status |= u32::from(self.celsius >= *limit) << (8 + bit);
+            status |= u32::from(self.stage.is_at(*limit)) << (8 + bit);
         }
         status
     }
@@ -272,21 +240,23 @@ impl Chip {
     }
 
     fn write(&mut self, register: u8, value: u32) {
-        *self.value(IFCNT) = (self.register(IFCNT) + 1) & 0xFF;
-        let Some(at) = index(register).filter(|at| REGISTERS[*at].2) else {
-            return;
+        *self.registers.value(IFCNT) = (self.register(IFCNT) + 1) & 0xFF;
+        // Ones clear flags; that of an error stays above the limit.
+        let error = if self.stage.overheated {
+            0
+        } else {
+            DRIVE_ERROR
         };
-        match register {
-            _ if self.stuck == Some(register) => {}
-            // Ones clear flags; that of an error stays above the limit.
-            GSTAT if self.overheated => self.values[at] &= !(value & RESET),
-            GSTAT => self.values[at] &= !(value & (RESET | DRIVE_ERROR)),
-            _ => self.values[at] = value,
+        if let Some(held) = self.registers.writable(register) {
+            *held = match register {
+                GSTAT => *held & !(value & (RESET | error)),
+                _ => value,
+            };
         }
     }
 
     fn reply(&self, register: u8) -> [u8; 8] {
-        let readable = index(register).is_some_and(|at| REGISTERS[at].1);
+        let readable = self.registers.is_readable(register);
         let value = if readable { self.register(register) } else { 0 };
         let [a, b, c, d] = value.to_be_bytes();
         let mut reply = [0x05, 0xFF, register, a, b, c, d, 0];

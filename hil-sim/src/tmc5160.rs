@@ -5,9 +5,11 @@
 //! flags, the temperature, the shorts and the charge pump. Motor, chopper, ramp generator and the
 //! electrical side of the wires are not modelled; a chip without its supply holds its SDO low.
 
+use crate::driver_chip::{DRIVE_ERROR, PowerStage, RESET, Register, Registers};
+
 /// Registers (data sheet 6): address, readable, writable, value after a reset. Those of the ramp
 /// generator and of the encoder are left out.
-const REGISTERS: [(u8, bool, bool, u32); 25] = [
+const REGISTERS: [Register; 25] = [
     (GCONF, true, true, 0),
     (GSTAT, true, true, 0),
     (IOIN, true, false, 0),
@@ -60,13 +62,10 @@ pub const COOLCONF: u8 = 0x6D;
 /// State of the driver.
 pub const DRV_STATUS: u8 = 0x6F;
 
-/// Flags of GSTAT.
-const RESET: u32 = 1;
-const DRIVE_ERROR: u32 = 2;
+/// Flag of GSTAT.
 const LOW_CHARGE_PUMP: u32 = 4;
 
-/// Temperatures at which the driver warns, and switches off, C.
-const WARNING_C: f64 = 120.0;
+/// Temperature at which the driver switches off, C.
 const SHUTDOWN_C: f64 = 150.0;
 
 /// Bits of a datagram.
@@ -75,23 +74,15 @@ const BITS: u32 = 40;
 /// A chip.
 #[derive(Debug, Clone)]
 pub struct Chip {
-    values: [u32; REGISTERS.len()],
+    registers: Registers<{ REGISTERS.len() }>,
+    stage: PowerStage,
     powered: bool,
     enabled: bool,
     /// The pin SD_MODE is high: steps come from outside.
     takes_steps: bool,
     standing: bool,
-    celsius: f64,
-    /// A phase is shorted to ground.
-    shorted: bool,
     /// The charge pump has too low a voltage.
     is_pump_low: bool,
-    /// It switched its motor off because of its temperature.
-    overheated: bool,
-    /// It switched its motor off because of a short.
-    switched_off: bool,
-    /// A register that keeps its value whatever is written.
-    stuck: Option<u8>,
     /// Data of the next reply.
     data: u32,
     shift: u64,
@@ -100,26 +91,17 @@ pub struct Chip {
     output: bool,
 }
 
-/// Index of a register.
-fn index(register: u8) -> Option<usize> {
-    REGISTERS.iter().position(|(it, ..)| *it == register)
-}
-
 impl Default for Chip {
     /// A chip after power-on, with its pin SD_MODE high, whose motor is at standstill.
     fn default() -> Self {
         let mut chip = Self {
-            values: [0; REGISTERS.len()],
+            registers: Registers::new(&REGISTERS),
+            stage: PowerStage::new(SHUTDOWN_C),
             powered: true,
             enabled: false,
             takes_steps: true,
             standing: true,
-            celsius: 40.0,
-            shorted: false,
             is_pump_low: false,
-            overheated: false,
-            switched_off: false,
-            stuck: None,
             data: 0,
             shift: 0,
             bits: 0,
@@ -132,14 +114,9 @@ impl Default for Chip {
 
 impl Chip {
     fn reset(&mut self) {
-        self.values = REGISTERS.map(|(_, _, _, value)| value);
-        *self.value(GSTAT) = RESET;
+        self.registers.reset(GSTAT);
         self.data = 0;
         self.bits = 0;
-    }
-
-    fn value(&mut self, register: u8) -> &mut u32 {
-        &mut self.values[index(register).expect("a register of the table")]
     }
 
     /// Value of a register, whether the SPI can read it or not.
@@ -148,7 +125,7 @@ impl Chip {
         match register {
             IOIN => 0x30 << 24 | u32::from(self.takes_steps) << 6 | u32::from(!self.enabled) << 4,
             DRV_STATUS => self.status(),
-            _ => index(register).map_or(0, |at| self.values[at]),
+            _ => self.registers.get(register),
         }
     }
 
@@ -179,19 +156,15 @@ impl Chip {
     /// Temperature of the chip, C. Above its limit it switches the motor off, until it is cold
     /// enough for no warning.
     pub fn set_temperature(&mut self, celsius: f64) {
-        self.celsius = celsius;
-        if celsius >= SHUTDOWN_C {
-            self.overheated = true;
-            *self.value(GSTAT) |= DRIVE_ERROR;
-        } else if celsius < WARNING_C {
-            self.overheated = false;
+        if self.stage.set_temperature(celsius) {
+            *self.registers.value(GSTAT) |= DRIVE_ERROR;
         }
     }
 
     /// A phase of the motor is shorted to ground, or not any more. The chip sees it while it
     /// drives.
     pub fn set_shorted(&mut self, shorted: bool) {
-        self.shorted = shorted;
+        self.stage.set_shorted(shorted);
         self.find_short();
     }
 
@@ -199,13 +172,13 @@ impl Chip {
     pub fn set_pump_low(&mut self, is_pump_low: bool) {
         self.is_pump_low = is_pump_low;
         if is_pump_low {
-            *self.value(GSTAT) |= LOW_CHARGE_PUMP;
+            *self.registers.value(GSTAT) |= LOW_CHARGE_PUMP;
         }
     }
 
     /// A register keeps its value whatever is written.
     pub const fn set_stuck(&mut self, register: Option<u8>) {
-        self.stuck = register;
+        self.registers.set_stuck(register);
     }
 
     /// The power stage works: the enable input is low, and the off time is not 0.
@@ -214,25 +187,21 @@ impl Chip {
     }
 
     fn find_short(&mut self) {
-        if !self.is_on() {
-            self.switched_off = false;
-        } else if self.shorted {
-            self.switched_off = true;
-            *self.value(GSTAT) |= DRIVE_ERROR;
+        if self.stage.find_short(self.is_on()) {
+            *self.registers.value(GSTAT) |= DRIVE_ERROR;
         }
     }
 
     /// Whether the chip drives its motor by steps from outside.
     #[must_use]
     pub fn drives(&self) -> bool {
-        let is_off = self.overheated || self.switched_off || self.is_pump_low;
-        self.is_on() && self.takes_steps && !is_off
+        self.is_on() && self.takes_steps && self.stage.is_sound() && !self.is_pump_low
     }
 
     fn status(&self) -> u32 {
-        u32::from(self.overheated) << 25
-            | u32::from(self.celsius >= WARNING_C) << 26
-            | u32::from(self.switched_off) << 27
+        u32::from(self.stage.overheated) << 25
+            | u32::from(self.stage.is_hot()) << 26
+            | u32::from(self.stage.switched_off) << 27
             | u32::from(self.standing) << 31
     }
 
@@ -289,22 +258,24 @@ impl Chip {
             self.write(register & 0x7F, value);
             self.data = value;
         } else {
-            let readable = index(register).is_some_and(|at| REGISTERS[at].1);
+            let readable = self.registers.is_readable(register);
             self.data = if readable { self.register(register) } else { 0 };
         }
     }
 
     fn write(&mut self, register: u8, value: u32) {
-        let Some(at) = index(register).filter(|at| REGISTERS[*at].2) else {
-            return;
-        };
         // Ones clear flags; those of a present error stay.
-        let mut stays = if self.overheated { DRIVE_ERROR } else { 0 };
+        let mut stays = if self.stage.overheated {
+            DRIVE_ERROR
+        } else {
+            0
+        };
         stays |= if self.is_pump_low { LOW_CHARGE_PUMP } else { 0 };
-        match register {
-            _ if self.stuck == Some(register) => {}
-            GSTAT => self.values[at] &= !(value & !stays),
-            _ => self.values[at] = value,
+        if let Some(held) = self.registers.writable(register) {
+            *held = match register {
+                GSTAT => *held & !(value & !stays),
+                _ => value,
+            };
         }
         self.find_short();
     }

@@ -61,42 +61,22 @@ pub enum Task {
 pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let folder = root.join(FOLDER);
     repair(root, &folder)?;
-    let board = crate::named(BOARD)?;
-    let mut cargo = crate::cargo();
-    cargo.current_dir(&folder);
-    // An image keeps one processor busy for most of its build.
-    let mut building = crate::cargo();
-    building
+    // An image keeps one processor busy for most of its build, so the tests are built beside it.
+    let mut tests = crate::cargo();
+    tests
         .current_dir(&folder)
         .args(["test", "--release", "--locked", "--no-run"]);
     let building = match task {
-        Task::Test | Task::LongTest => Some(start(&mut building)?),
+        Task::Test | Task::LongTest => Some(start(&mut tests)?),
         Task::Build | Task::Slot => None,
     };
-    if matches!(task, Task::Test | Task::LongTest) {
-        let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
-        cargo.env("HAPTIMILL_UART_IMAGE", image);
-        let image = board.uf2(&board.build_variant(root, true, &PERIOD_320_US)?)?;
-        cargo.env("HAPTIMILL_320_US_IMAGE", image);
-        // Its ELF file has the texts of the log.
-        cargo.env(
-            "HAPTIMILL_LOG_IMAGE",
-            board.build_variant(root, true, &LOG)?,
-        );
-    }
-    if task != Task::Slot {
-        let image = board.uf2(&board.build_variant(root, true, &ENCODERS)?)?;
-        cargo.env("HAPTIMILL_ENCODER_IMAGE", image);
-        let image = board.uf2(&board.build_variant(root, true, &SPI)?)?;
-        cargo.env("HAPTIMILL_SPI_IMAGE", image);
-    }
-    // Last: the path of the ELF file then has the image that the board has without options.
-    let image = board.uf2(&board.build(root, true)?)?;
-    cargo.env("HAPTIMILL_IMAGE", &image);
+    let images = images(root, task);
     if let Some(mut building) = building {
-        let status = building.wait();
-        ended("cargo", status)?;
+        ended("cargo", building.wait())?;
     }
+    let images = images?;
+    let mut cargo = crate::cargo();
+    cargo.current_dir(&folder).envs(images.iter().cloned());
     match task {
         Task::Build => cargo.args(["build", "--release", "--locked"]),
         Task::Test | Task::LongTest => {
@@ -115,9 +95,32 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
             "{}",
             folder.join("target/release/haptimill-emulator").display()
         );
-        println!("{}", image.display());
+        for (_, image) in images {
+            println!("{}", image.display());
+        }
     }
     Ok(())
+}
+
+/// Builds the images that a task needs; returns the variables of the tests and the files.
+fn images(root: &Path, task: Task) -> Result<Vec<(&'static str, PathBuf)>, String> {
+    let board = crate::named(BOARD)?;
+    let uf2 = |variant| board.uf2(&board.build_variant(root, true, variant)?);
+    let mut images = Vec::new();
+    if matches!(task, Task::Test | Task::LongTest) {
+        images.push(("HAPTIMILL_UART_IMAGE", uf2(&UART)?));
+        images.push(("HAPTIMILL_320_US_IMAGE", uf2(&PERIOD_320_US)?));
+        // Its ELF file has the texts of the log.
+        let log = board.build_variant(root, true, &LOG)?;
+        images.push(("HAPTIMILL_LOG_IMAGE", log));
+    }
+    if task != Task::Slot {
+        images.push(("HAPTIMILL_ENCODER_IMAGE", uf2(&ENCODERS)?));
+        images.push(("HAPTIMILL_SPI_IMAGE", uf2(&SPI)?));
+    }
+    // Last: the path of the ELF file then has the image that the board has without options.
+    images.push(("HAPTIMILL_IMAGE", board.uf2(&board.build(root, true)?)?));
+    Ok(images)
 }
 
 /// Measures how much of a control period is left in the worst one, with an image that has this

@@ -3,21 +3,17 @@
 
 mod common;
 
-use common::{
-    CHIPS, alarms, bench, board, board_with, mill, only, session, steps, uart_image, with_chips,
+use common::chips::{
+    CHIPS, alarms, assert_heat_ends_safe, assert_no_bus, move_by_one_millimetre, only, with_chips,
 };
-use haptimill_client::client::Options;
-use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move};
-use haptimill_emulator::checks::Checks;
+use common::{bench, board, board_with, mill, session, steps, uart_image};
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc2209::GSTAT;
-use haptimill_protocol::message::{Command, DriveAlarm, Fault, State};
-use std::sync::Arc;
+use haptimill_protocol::message::{Command, DriveAlarm, Fault};
 
 /// Registers of the pins GP0 and GP1 (RP2350 datasheet, 9.11): function, and the outputs of UART0.
 const IO_BANK0: u32 = 0x4002_8000;
 const UART: u32 = 2;
-const ENABLE: u32 = 12;
 
 fn functions(board: &mut Pico2) -> [u32; 2] {
     [0, 1].map(|pin| board.chip().register(IO_BANK0 + 4 + 8 * pin) & 0x1F)
@@ -75,31 +71,10 @@ fn the_image_configures_the_chips_of_a_machine_file() {
     println!("drives on {:.3} s after the machine file", rise - start);
     assert!(rise - start < 0.3, "{rise} {start}");
 
-    session.home().expect("the joints are at their presets");
-    let from = session.status().expect("the board answers").commanded;
-    let mut to = session.model().to_engineering_units(&from);
-    to[0] += 1.0;
-    let to = session.model().to_axis_units(&to);
-    let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(600.0))
-        .expect("the machine can make the move");
     let sent = session.line_mut().chips.wire.sent;
-    let end = session
-        .run_job(2, from, plan.setpoints, &mut NoObserver)
-        .expect("the move begins");
-    session.check_completed(&end).expect("the move is complete");
-    steps(&mut session, 20);
-    let board = session.line_mut();
-    assert_eq!(board.steps, [640, 0, 0, 0, 0], "1 mm of 5 mm a turn");
-    assert!(
-        board.chips.wire.sent > sent,
-        "the chips are asked meanwhile"
-    );
-    let late = board.periods.iter().map(|period| period.late).max();
-    println!("control periods begin {late:?} cycles late at most");
-    let checks = Checks::of(board, &machine);
-    println!("{checks}");
-    assert!(checks.passed());
-    assert_eq!(checks.missed_enabled, 0);
+    move_by_one_millimetre(&mut session, &machine);
+    let asked = session.line_mut().chips.wire.sent - sent;
+    assert!(asked > 0, "the chips are asked meanwhile");
 }
 
 /// A chip without its supply keeps the drives off and names its joint. With its supply it is
@@ -128,56 +103,20 @@ fn a_silent_chip_keeps_the_drives_off_and_names_its_joint() {
     assert_set(board);
 }
 
-/// A chip that switches its motor off because of its temperature, in a search for a switch: the
-/// enable line falls, no pulse leaves from then on, and the fault names the joint. After it has
-/// cooled down the drives go on again.
+/// See [`assert_heat_ends_safe`].
 #[test]
 fn an_overheated_chip_in_motion_ends_safe() {
     let machine = with_chips(&mill());
-    let mut session = session(board(&machine), &machine);
-    session.enable().expect("the drives are ready");
-    let _homing = Homing::start(&mut session);
-    steps(&mut session, 300);
-    let joint = (0..3)
-        .find(|joint| session.line_mut().steps[*joint] != 0)
-        .expect("a joint searches");
-    let board = session.line_mut();
-    assert!(board.is_enabled());
-    board.drive_chip(joint).set_temperature(150.0);
-    assert!(!board.drive_chip(joint).drives());
-    let hot = board.cycles();
-    while session.line_mut().is_enabled() {
-        steps(&mut session, 1);
-        assert!(session.line_mut().cycles() < hot + 150 * 60_000, "60 ms");
-    }
-    let board = session.line_mut();
-    let after = (board.cycles() - hot) as f64 / 150e3;
-    println!("drives off {after:.1} ms after the chip switched its motor off");
-    // Those of a control period that was handed over before.
-    steps(&mut session, 2);
-    let before = session.line_mut().steps;
-    steps(&mut session, 200);
-    let status = session.status().expect("the board answers");
-    assert_eq!(session.line_mut().steps, before, "no pulse");
-    assert_eq!(status.state, State::Fault);
-    let alarm = DriveAlarm::Overheated;
-    let fault = Fault::Drive {
-        joint: joint as u8,
-        alarm,
+    let set_temperature = |board: &mut Pico2, joint: usize, celsius: f64| {
+        let chip = board.drive_chip(joint);
+        chip.set_temperature(celsius);
+        chip.drives()
     };
-    assert_eq!(status.fault, Some(fault));
-    let said = session.fault(&fault).message;
-    assert!(
-        said.contains("is too hot and switched the motor off"),
-        "{said}"
+    assert_heat_ends_safe(
+        session(board(&machine), &machine),
+        set_temperature,
+        assert_set,
     );
-    assert!(!session.line_mut().is_enabled());
-    assert_eq!(alarms(&mut session), only(joint, alarm), "it is still hot");
-    session.line_mut().drive_chip(joint).set_temperature(60.0);
-    session.ask(Command::Reset).expect("the fault is reset");
-    session.enable().expect("the drives are ready");
-    assert!(session.line_mut().is_enabled());
-    assert_set(session.line_mut());
 }
 
 /// A reset of a chip by its supply in standstill, with the drives on, is a fault of its joint: its
@@ -206,17 +145,5 @@ fn a_chip_that_was_reset_is_a_fault_of_its_joint() {
 fn the_image_for_the_uart_refuses_joints_with_chips() {
     let machine = with_chips(&bench());
     let board = board_with(&uart_image(), &machine);
-    let mut session = Session::new(board, &machine, Options::default(), Arc::default());
-    session.connect(1).expect("the board answers");
-    session.configure(&machine).expect("it takes the file");
-    let refused = session.enable().expect_err("no bus");
-    assert!(
-        refused
-            .message
-            .contains("the drive of x is not ready: its driver chip (address 2) has no bus"),
-        "{refused:?}"
-    );
-    let board = session.line_mut();
-    assert!(!board.level(ENABLE));
-    assert!(board.lines.enable.changes.is_empty(), "it never rose");
+    assert_no_bus(board, &machine, "address 2");
 }

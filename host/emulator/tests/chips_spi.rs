@@ -4,18 +4,16 @@
 
 mod common;
 
-use common::table::{assert_is_set, table};
-use common::{
-    alarms, bench, board, board_with, mill, only, session, spi_image, steps, with_sections,
+use common::chips::{
+    alarms, assert_heat_ends_safe, assert_no_bus, move_by_one_millimetre, only, until_off,
+    with_chips, with_sections,
 };
-use haptimill_client::client::Options;
-use haptimill_client::session::{Homing, NoObserver, Session, plan_straight_move};
-use haptimill_emulator::checks::Checks;
+use common::table::{assert_is_set, table};
+use common::{bench, board, board_with, mill, session, spi_image, steps};
 use haptimill_emulator::pico2::Pico2;
 use haptimill_hil_sim::tmc5160::{CHOPCONF, Cut, GSTAT};
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Alarms, Command, DriveAlarm, Fault, State};
-use std::sync::Arc;
+use haptimill_protocol::message::{Alarms, Command, DriveAlarm, Fault};
 
 const PAGE: &str = include_str!("../../../docs/hardware/pico2.md");
 
@@ -38,7 +36,7 @@ const CHIPS: [(u8, f64, f64); 3] = [(2, 1.5, 0.7), (0, 2.4, 1.2), (1, 0.5, 0.1)]
 const SENSE: f64 = 0.075;
 
 /// A machine of three step drives that have these chips.
-fn with_chips(machine: &MachineFile) -> MachineFile {
+fn with_chain(machine: &MachineFile) -> MachineFile {
     let sections = CHIPS.map(|(position, run, hold)| {
         format!(
             "[joint.drive.tmc5160]\nposition = {position}\nmicrosteps = 16\n\
@@ -82,22 +80,12 @@ fn interrupted(joint: usize) -> Alarms {
         })
 }
 
-/// Runs until the drives are off; returns the time for which they were on, ms.
-fn until_off(session: &mut Session<Pico2>) -> f64 {
-    let begin = session.line_mut().cycles();
-    while session.line_mut().is_enabled() {
-        steps(session, 1);
-        assert!(session.line_mut().cycles() < begin + 150 * 60_000, "60 ms");
-    }
-    (session.line_mut().cycles() - begin) as f64 / 150e3
-}
-
 /// Without chips in the machine file the pins stay free; with them they are set before the enable
 /// line rises for the first time, and the machine moves as with other drives.
 #[test]
 fn the_image_configures_the_chain_of_a_machine_file() {
     let plain = bench();
-    let machine = with_chips(&plain);
+    let machine = with_chain(&plain);
     let mut session = session(spi_board(&machine), &plain);
     let free = functions(session.line_mut());
     assert!(!free.contains(&SPI), "{free:?}");
@@ -124,39 +112,21 @@ fn the_image_configures_the_chain_of_a_machine_file() {
     println!("drives on {:.3} s after the machine file", rise - start);
     assert!(rise - start < 0.3, "{rise} {start}");
 
-    session.home().expect("the joints are at their presets");
-    let from = session.status().expect("the board answers").commanded;
-    let mut to = session.model().to_engineering_units(&from);
-    to[0] += 1.0;
-    let to = session.model().to_axis_units(&to);
-    let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(600.0))
-        .expect("the machine can make the move");
     let chain = session.line_mut().chip_chain();
     let (transfers, mode_errors) = (chain.transfers, chain.mode_errors);
-    let end = session
-        .run_job(2, from, plan.setpoints, &mut NoObserver)
-        .expect("the move begins");
-    session.check_completed(&end).expect("the move is complete");
-    steps(&mut session, 20);
-    let board = session.line_mut();
-    assert_eq!(board.steps, [640, 0, 0, 0, 0], "1 mm of 5 mm a turn");
-    let asked = board.chip_chain().transfers - transfers;
+    move_by_one_millimetre(&mut session, &machine);
+    let chain = session.line_mut().chip_chain();
+    let asked = chain.transfers - transfers;
     println!("{asked} transfers in the move");
     assert!(asked > 0, "the chips are asked meanwhile");
-    assert_eq!(board.chip_chain().mode_errors, mode_errors);
-    let late = board.periods.iter().map(|period| period.late).max();
-    println!("control periods begin {late:?} cycles late at most");
-    let checks = Checks::of(board, &machine);
-    println!("{checks}");
-    assert!(checks.passed());
-    assert_eq!(checks.missed_enabled, 0);
+    assert_eq!(chain.mode_errors, mode_errors);
 }
 
 /// A chip without its supply keeps the drives off. Its joint and its position are named, although
 /// no chip of the chain can be reached. With its supply all are configured, and the drives go on.
 #[test]
 fn a_chip_without_supply_keeps_the_drives_off_and_is_named() {
-    let machine = with_chips(&bench());
+    let machine = with_chain(&bench());
     let mut board = spi_board(&machine);
     board.chain_chip(2).set_powered(false);
     let mut session = session(board, &machine);
@@ -179,57 +149,27 @@ fn a_chip_without_supply_keeps_the_drives_off_and_is_named() {
     assert_set(board);
 }
 
-/// A chip that switches its motor off because of its temperature, in a search for a switch: the
-/// enable line falls, no pulse leaves from then on, and the fault names the joint. After it has
-/// cooled down the drives go on again.
+/// See [`assert_heat_ends_safe`].
 #[test]
 fn an_overheated_chip_of_the_chain_in_motion_ends_safe() {
-    let machine = with_chips(&mill());
-    let mut session = session(spi_board(&machine), &machine);
-    session.enable().expect("the drives are ready");
-    let _homing = Homing::start(&mut session);
-    steps(&mut session, 300);
-    let joint = (0..3)
-        .find(|joint| session.line_mut().steps[*joint] != 0)
-        .expect("a joint searches");
-    let board = session.line_mut();
-    assert!(board.is_enabled());
-    board.chain_chip(joint).set_temperature(155.0);
-    assert!(!board.chain_chip(joint).drives());
-    let after = until_off(&mut session);
-    println!("drives off {after:.1} ms after the chip switched its motor off");
-    // Those of a control period that was handed over before.
-    steps(&mut session, 2);
-    let before = session.line_mut().steps;
-    steps(&mut session, 200);
-    let status = session.status().expect("the board answers");
-    assert_eq!(session.line_mut().steps, before, "no pulse");
-    assert_eq!(status.state, State::Fault);
-    let alarm = DriveAlarm::Overheated;
-    let fault = Fault::Drive {
-        joint: joint as u8,
-        alarm,
+    let machine = with_chain(&mill());
+    let set_temperature = |board: &mut Pico2, joint: usize, celsius: f64| {
+        let chip = board.chain_chip(joint);
+        chip.set_temperature(celsius);
+        chip.drives()
     };
-    assert_eq!(status.fault, Some(fault));
-    let said = session.fault(&fault).message;
-    assert!(
-        said.contains("is too hot and switched the motor off"),
-        "{said}"
+    assert_heat_ends_safe(
+        session(spi_board(&machine), &machine),
+        set_temperature,
+        assert_set,
     );
-    assert!(!session.line_mut().is_enabled());
-    assert_eq!(alarms(&mut session), only(joint, alarm), "it is still hot");
-    session.line_mut().chain_chip(joint).set_temperature(60.0);
-    session.ask(Command::Reset).expect("the fault is reset");
-    session.enable().expect("the drives are ready");
-    assert!(session.line_mut().is_enabled());
-    assert_set(session.line_mut());
 }
 
 /// A reset of a chip by its supply in standstill, with the drives on, is a fault of its joint: its
 /// power stage is off.
 #[test]
 fn a_chip_of_the_chain_that_was_reset_is_a_fault_of_its_joint() {
-    let machine = with_chips(&bench());
+    let machine = with_chain(&bench());
     let mut session = session(spi_board(&machine), &machine);
     session.enable().expect("the drives are ready");
     steps(&mut session, 50);
@@ -250,7 +190,7 @@ fn a_chip_of_the_chain_that_was_reset_is_a_fault_of_its_joint() {
 /// off. The fault names the chip before the wire, and every chip of the chain is reported.
 #[test]
 fn a_broken_wire_of_the_chain_is_a_fault_of_the_joint_before_it() {
-    let machine = with_chips(&bench());
+    let machine = with_chain(&bench());
     let mut session = session(spi_board(&machine), &machine);
     for (joint, level) in [(2, true), (0, false), (1, false)] {
         session.enable().expect("the drives are ready");
@@ -279,29 +219,9 @@ fn a_broken_wire_of_the_chain_is_a_fault_of_the_joint_before_it() {
 /// switches the drives on.
 #[test]
 fn an_image_refuses_chips_of_the_other_bus() {
-    let spi = with_chips(&bench());
-    let uart = with_sections(
-        &bench(),
-        &[0, 1, 2].map(|address| {
-            format!(
-                "[joint.drive.tmc2209]\naddress = {address}\nmicrosteps = 16\n\
-                 run_current_a = 0.8\nhold_current_a = 0.4\n"
-            )
-        }),
-    );
-    for (board, machine, place) in [
-        (board(&spi), &spi, "(position 2)"),
-        (spi_board(&uart), &uart, "(address 0)"),
-    ] {
-        let mut session = Session::new(board, machine, Options::default(), Arc::default());
-        session.connect(1).expect("the board answers");
-        session.configure(machine).expect("it takes the file");
-        let refused = session.enable().expect_err("no bus");
-        let expected = format!("the drive of x is not ready: its driver chip {place} has no bus");
-        assert!(refused.message.contains(&expected), "{refused:?}");
-        let board = session.line_mut();
-        assert!(board.lines.enable.changes.is_empty(), "it never rose");
-    }
+    let (spi, uart) = (with_chain(&bench()), with_chips(&bench()));
+    assert_no_bus(board(&spi), &spi, "position 2");
+    assert_no_bus(spi_board(&uart), &uart, "address 2");
 }
 
 /// The pins of the page, with a machine file that has chips.
@@ -316,7 +236,7 @@ fn every_pin_of_the_chain_is_set() {
         .flat_map(|row| row.pins.iter().zip(&row.directions));
     let pins: Vec<(u32, bool)> = pins.map(|(pin, out)| (*pin, *out)).collect();
     assert_eq!(pins, [(1, true), (26, true), (27, true), (28, false)]);
-    let machine = with_chips(&bench());
+    let machine = with_chain(&bench());
     let mut session = session(spi_board(&machine), &machine);
     session.enable().expect("the drives are ready");
     let chip = session.line_mut().chip();

@@ -224,7 +224,7 @@ fn noise_on_the_uart_does_not_disturb_the_session() {
         noise ^= noise << 13;
         noise ^= noise >> 17;
         noise ^= noise << 5;
-        if noise % 4 == 0 {
+        if noise.is_multiple_of(4) {
             session.line_mut().chip().receive(&noise.to_le_bytes()[..2]);
         }
         session.step().expect("the line works");

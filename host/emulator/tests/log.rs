@@ -2,9 +2,10 @@
 
 mod common;
 
+use common::chips::with_chips;
 use common::{
     ENDLESS_LOOP, LOG_IMAGE, board_with, enabled_board, image, log_image, mill, path,
-    replace_period, steps, with_chips,
+    replace_period, steps,
 };
 use haptimill_client::session::pins::record::Period;
 use haptimill_client::session::{Homing, Session};

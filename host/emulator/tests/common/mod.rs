@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "each test uses a part of it")]
 
+pub mod chips;
 pub mod table;
 
 use haptimill_client::client::Options;
@@ -12,7 +13,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::Outputs;
 use haptimill_hil_sim::plant::Plant;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Alarms, DriveAlarm, Fault};
+use haptimill_protocol::message::Fault;
 use std::sync::Arc;
 
 /// Entry of PendSV in the vector table.
@@ -73,20 +74,6 @@ pub fn encoder_image() -> Vec<u8> {
 /// The image with TMC5160 at its SPI.
 pub fn spi_image() -> Vec<u8> {
     named("HAPTIMILL_SPI_IMAGE")
-}
-
-/// Addresses and currents of the TMC2209 of joints x, y and z.
-pub const CHIPS: [(u8, f64, f64); 3] = [(2, 0.8, 0.4), (0, 1.2, 0.6), (1, 0.5, 0.1)];
-
-/// A machine of three step drives that have these chips.
-pub fn with_chips(machine: &MachineFile) -> MachineFile {
-    let sections = CHIPS.map(|(address, run, hold)| {
-        format!(
-            "[joint.drive.tmc2209]\naddress = {address}\nmicrosteps = 16\n\
-             run_current_a = {run}\nhold_current_a = {hold}\n"
-        )
-    });
-    with_sections(machine, &sections)
 }
 
 /// A machine whose first joints have encoders of this many counts in a turn of their motors.
@@ -337,33 +324,9 @@ pub fn enabled_board(board: Pico2, machine: &MachineFile) -> Session<Pico2> {
     session
 }
 
-/// A machine of three step drives, each with one more section behind it.
-pub fn with_sections(machine: &MachineFile, sections: &[String; 3]) -> MachineFile {
-    const END: &str = "hold_us = 5.0\ndirection = 1\n";
-    let mut parts = machine.text.split(END);
-    let mut text = parts.next().expect("a first part").to_string();
-    let mut sections = sections.iter();
-    for part in parts {
-        let section = sections.next().expect("the file has three drives");
-        text += &format!("{END}\n{section}{part}");
-    }
-    assert_eq!(sections.next(), None, "the file has three drives");
-    parse(&machine.file, &text)
-}
-
 /// Runs control periods of a session.
 pub fn steps(session: &mut Session<Pico2>, periods: usize) {
     for _ in 0..periods {
         session.step().expect("the line works");
     }
-}
-
-/// The alarms that the board reports.
-pub fn alarms(session: &mut Session<Pico2>) -> Alarms {
-    session.status().expect("an answer").lines().alarms
-}
-
-/// The alarm of one joint.
-pub fn only(joint: usize, alarm: DriveAlarm) -> Alarms {
-    Alarms::default().with(joint, Some(alarm))
 }
